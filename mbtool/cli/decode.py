@@ -26,6 +26,7 @@ from mbtool.cli.options import (
     SourceOptions,
     StartOption,
     TableOptionGroup,
+    TypesOption,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -57,6 +58,7 @@ def decode(
     ],
     *,
     device: DeviceOption = None,
+    types: TypesOption = None,
     where: WhereOption = None,
     format_: Annotated[
         Format | None,
@@ -134,7 +136,7 @@ def decode(
         files = named_files(files)
     else:
         refuse_others({
-            "--device": device, "--where": where, "--start": start, "--end": end,
+            "--device": device, "--types": types, "--where": where, "--start": start, "--end": end,
             "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
             "--sunspec": sunspec, "--events": events, "--sort": sort, "--points": points,
             "--t1-5, --t3-5, --response-timeout": silences != SilenceOptions(),
@@ -148,7 +150,7 @@ def decode(
     window = TimeWindow.parse(start, end)
     fits = condition(where)
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
-    options = source.read(device, raw=raw, silences=silences)
+    options = source.read(device, raw=raw, silences=silences, types=types)
     if sunspec is not None:
         from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
 

@@ -11,6 +11,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    GuessedTypesOption,
     OverwriteOption,
     RawOption,
     SilenceOptions,
@@ -52,6 +53,7 @@ def report(
         typer.Option("--note", metavar="TEXT", help="A note for the reader, under the verdict."),
     ] = "",
     device: DeviceOption = None,
+    types: GuessedTypesOption = None,
     where: WhereOption = None,
     against: Annotated[
         str | None,
@@ -89,7 +91,7 @@ def report(
     It has the verdict, charts, findings and transactions, and needs no network and no other file.
     docs/report.md explains it.
     """
-    from mbtool.cli.options import condition
+    from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import opened, told_as_lost
     from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
@@ -117,7 +119,8 @@ def report(
     if path is not None and Path(path).suffix.lower() in _OTHER_SUFFIXES:
         page = Path(path).with_suffix(".html")
         raise UsageError(f"{path}: the page is HTML: write -o {page}; a browser makes a PDF of it")
-    options = source.read(device, raw=raw, silences=silences)
+    given, guesses = given_types(types)
+    options = source.read(device, raw=raw, silences=silences, types=given)
     codes = CodeFilter.parse((), ignore or ())
     wanted = None if where is None else condition(where)
     words = ReportWords(title, note, where or "")
@@ -137,6 +140,7 @@ def report(
             words=words,
             everything=everything,
         )
+        run.guesses = guesses
         run.demand_codes()
         run.reading.demand_files()
         demand_new(path, overwrite=overwrite)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, RecordOption, listen_ns
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import ListFormat, OverwriteOption
+from mbtool.cli.options import ListFormat
 from mbtool.cli.tls_options import TargetTlsOptions
 
 if TYPE_CHECKING:
@@ -102,7 +102,11 @@ def scan(
         str | None,
         typer.Option("-o", "--output", metavar="FILE.toml", help="Write a profile of the unit."),
     ] = None,
-    overwrite: OverwriteOption = False,
+    record: RecordOption = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option("--overwrite", help="Replace the files of --output and --record, if any."),
+    ] = False,
     format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
     tls: TargetTlsOptions,
 ) -> None:
@@ -111,20 +115,25 @@ def scan(
     Each unit is asked for a register, an echo and its identification; any answer counts, also a
     refusal. Only reads are sent, never a write. Exit 1 if no unit answers.
     """
+    from mbtool.cli.ask_options import recorded
     from mbtool.cli.profile_files import demand_new
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import LinkError, UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
+    from mbtool.logs.opening import check_log_path
+    from mbtool.master.links import open_master
 
     numbers = parse_ranges(units, "--units", _UNITS)
     (asked_addresses, *more) = _spans(addresses, "--addresses", _ADDRESSES)
     if more:
         raise UsageError(f"--addresses {addresses}: name one range, as in 0..9999")
     specs = [parse_link(one, ANSWERED) for text in links for one in _hosts(text)]
-    if len(specs) > 1 and (resume is not None or output is not None):
-        raise UsageError("--resume and -o are for one LINK")
+    if len(specs) > 1 and (resume or output or record):
+        raise UsageError("--resume, --record and -o are for one LINK")
     if output is not None:
         demand_new(output, overwrite=overwrite)
+    if record is not None:
+        check_log_path(record, overwrite=overwrite)
     target = tls.target()
     found: list[ScanState] = []
     refused: LinkError | None = None
@@ -132,15 +141,17 @@ def scan(
         for spec in specs:
             state = _state(resume, spec, numbers, None if units_only else asked_addresses)
             try:
-                with _opened(spec, timeout, target, listen, between=between) as master:
+                with (
+                    open_master(spec, round(timeout * 1e9), say, target) as master,
+                    recorded(master, spec, record, overwrite=overwrite),
+                ):
+                    master.take_line(listen_ns(listen), between=between)
                     runner = _Runner(master, spec, state, interrupt, resume, timeout)
                     runner.run(numbers, None if units_only else asked_addresses, rate, every=every)
                     if output is not None and not interrupt.asked:
                         runner.write_profile(output, overwrite=overwrite)
             except LinkError as error:
                 refused = error
-                if len(specs) == 1:
-                    raise
             found.append(state)
             if interrupt.asked:
                 break
@@ -148,6 +159,8 @@ def scan(
     for state in found:
         for remark in state.remarks:
             say(f"mbtool: {state.link}: {remark}")
+    if refused is not None and len(specs) == 1:
+        raise refused
     count = sum(len(state.units) for state in found)
     if not count and refused is not None and len(specs) == len(found):
         say(f"mbtool: {refused}")
@@ -202,21 +215,6 @@ def _hosts(text: str) -> list[str]:
     if network.num_addresses > _MOST_HOSTS:
         raise UsageError(f"{text}: {network.num_addresses:,} hosts, at most {_MOST_HOSTS:,}")
     return [f"{match['scheme']}{host}{match['port'] or ''}" for host in network.hosts()]
-
-
-def _opened(
-    spec: LinkSpec, timeout: float, target: object, listen: str | None, *, between: bool
-) -> MasterLink:
-    from mbtool.cli.talk import say
-    from mbtool.master.links import open_master
-
-    master = open_master(spec, round(timeout * 1e9), say, target)  # type: ignore[arg-type]
-    try:
-        master.take_line(listen_ns(listen), between=between)
-    except BaseException:
-        master.close()
-        raise
-    return master
 
 
 def _state(

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialFormat
+    from mbtool.devices import Profile
     from mbtool.ledger.account import Account
     from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import ReadingOptions
@@ -69,6 +70,14 @@ def stats(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document (docs/stats.md) at the end.")
     ] = False,
+    advice: Annotated[
+        bool,
+        typer.Option(
+            "--advice",
+            help="Say which requests of a polled list could be one, and how long its cycle would "
+            "be then; nothing else.",
+        ),
+    ] = False,
     duration: Annotated[
         float | None,
         typer.Option("--duration", metavar="S", min=0, help="Listen for so many seconds."),
@@ -98,7 +107,9 @@ def stats(
         raise UsageError("--duration and --allow go with a link")
     if not any(live):
         sources = named_files(sources)
-    shown = _Shown(sources, where, as_json, top)
+    if advice and any(live):
+        raise UsageError("--advice goes with files")
+    shown = _Shown(sources, where, as_json, top, advice)
     if any(live):
         _listen(shown, device, source, silences, allow, duration)
     else:
@@ -118,6 +129,7 @@ class _Shown:
     where: str | None
     as_json: bool
     top: int | None
+    is_advice: bool
 
     def print(
         self,
@@ -126,16 +138,21 @@ class _Shown:
         remarks: Sequence[str] = (),
         *,
         is_whole: bool = True,
+        profile_named: Callable[[str], Profile | None] = lambda _: None,
     ) -> None:
         """Print the statistics to standard output. Raises OutputError if it cannot be written.
 
         `remarks` are lines about the files. `is_whole` is False if a part of them was not read.
+        `profile_named` returns the profile of this name, if it is in use.
         """
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
         from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
+        if self.is_advice:
+            _print_advice(account, judgement, profile_named, as_json=self.as_json)
+            return
         with told_as_lost("standard output"):
             if self.as_json:
                 text = statistics_document(
@@ -169,6 +186,45 @@ class _Shown:
         return [Text(line.text, line.style) for line in lines]
 
 
+def _print_advice(
+    account: Account,
+    judgement: Judgement,
+    profile_named: Callable[[str], Profile | None],
+    *,
+    as_json: bool,
+) -> None:
+    """Print which requests could be one."""
+    import json
+
+    from mbtool.ledger.advice import advise
+    from mbtool.views.advice_lines import Advised, advice_document, advice_lines
+    from mbtool.views.tables import printable
+
+    found: list[Advised] = []
+    for link in judgement.links:
+        format_ = account.links[link.name].format
+        character_ns = None if format_ is None else float(format_.character_ns)
+        polls = [one.poll for one in link.polls]
+        devices = {one.key.unit: one.device for one in polls if one.device is not None}
+
+        def limit_of(unit: int, function: int, devices: dict[int, str] = devices) -> int | None:
+            profile = profile_named(devices.get(unit, ""))
+            rule = None if profile is None else profile.rule(function)
+            return None if rule is None else rule.limit
+
+        for master in link.masters:
+            for each in master.lists.lists:
+                advice = advise(each, polls, character_ns if link.is_serial else None, limit_of)
+                if advice is not None:
+                    found.append((link.name, master.master, advice))
+    if as_json:
+        typer.echo(json.dumps(advice_document(found), indent=2))
+    elif found:
+        typer.echo("\n".join(map(printable, advice_lines(found))))
+    else:
+        typer.echo("no two requests of a polled list can be one")
+
+
 def _read(shown: _Shown, options: ReadingOptions) -> None:
     """Compute the statistics of files, and print them."""
     from mbtool.cli.options import condition
@@ -192,7 +248,13 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
             broken = error
         why = reading.why_empty if broken is None else str(broken)
         remarks = [*run.remarks, *([] if why is None else [why])]
-        shown.print(run.ledger, run.judgement(), remarks, is_whole=broken is None)
+        shown.print(
+            run.ledger,
+            run.judgement(),
+            remarks,
+            is_whole=broken is None,
+            profile_named=reading.profile_named,
+        )
     for remark in run.remarks:
         say(remark)
     if broken is not None:

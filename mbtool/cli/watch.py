@@ -15,6 +15,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     AllowOption,
     DeviceOption,
+    GuessedTypesOption,
     RawOption,
     SilenceOptions,
     SourceOptions,
@@ -57,6 +58,7 @@ def watch(
         bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
     ] = False,
     device: DeviceOption = None,
+    types: GuessedTypesOption = None,
     where: WhereOption = None,
     play: Annotated[
         bool, typer.Option("--play", help="Play a file from its beginning, as it was recorded.")
@@ -75,7 +77,7 @@ def watch(
     It shows polls, points, transactions, events, slaves and the bus load as they come; ? shows the
     keys, and docs/watch.md explains each view. It needs mbtool[watch].
     """
-    from mbtool.cli.options import condition
+    from mbtool.cli.options import condition, given_types
     from mbtool.cli.stats import is_link
     from mbtool.cli.talk import never_waiting
     from mbtool.cli.watching.terminal_abilities import prepare_terminal
@@ -99,14 +101,25 @@ def watch(
             "or use sniff, decode or stats"
         )
     prepare_terminal()
+    given, guesses = given_types(types)
     with never_waiting():
         if any(live):
             _watch_links(
-                sources, write, device, where, source, silences, allow, duration, overwrite
+                sources,
+                write,
+                device,
+                given,
+                guesses,
+                where,
+                source,
+                silences,
+                allow,
+                duration,
+                overwrite,
             )
         else:
-            options = source.read(device, raw=raw, silences=silences)
-            _watch_files(sources, options, where, duration, plays=play)
+            options = source.read(device, raw=raw, silences=silences, types=given)
+            _watch_files(sources, options, where, duration, plays=play, guesses=guesses)
 
 
 def _demand_textual() -> None:
@@ -122,6 +135,8 @@ def _watch_links(
     sources: Sequence[str],
     write: str | None,
     device: list[str] | None,
+    types: list[str],
+    guesses: bool,
     where: str | None,
     ports: SourceOptions,
     silences: SilenceOptions,
@@ -147,7 +162,7 @@ def _watch_links(
 
     specs = [parse_link(link, HEARD) for link in sources]
     allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
-    devices = assignments(device)
+    devices = assignments(device, types)
     timing = LineTiming(devices, *silences.read())
     serial_lines(specs)
     if write is not None:
@@ -171,6 +186,8 @@ def _watch_links(
     watched = make_watched(
         lambda link: timing.format_of(lines[link]) if link in lines else None, devices.profile_for
     )
+    if not guesses:
+        watched.show_words()
     hints, unreadable = ModelHints(devices.profile_for), UnreadableLines(lines.get, is_live=True)
     saver = FrameSaver(begin) if write is None else EvidenceSaver([write])
     with interruptible() as interrupt, ExitStack() as opened:
@@ -198,6 +215,7 @@ def _watch_files(
     duration: float | None,
     *,
     plays: bool,
+    guesses: bool,
 ) -> None:
     from mbtool.cli.talk import interruptible, say
     from mbtool.workflows.shared.reading import Reading
@@ -216,6 +234,8 @@ def _watch_files(
         lambda link: readings[0].format_of(link), lambda one: readings[0].profile_for(one)
     )
     feed = FileFeed(records, watched, plays=plays)
+    if not guesses:
+        watched.show_words()
     with interruptible() as interrupt:
         place = ", ".join(PurePath(file).name for file in files)
         saver = EvidenceSaver(files, options)

@@ -187,9 +187,6 @@ class TransactionArrays:
                 lists.response_place[last] - first_place + 1,
                 lists.response_ns[last],
             ),
-            last_requests=[
-                self._bytes(begins[one], sizes[one]) for one in range(max(at, end - 2), end)
-            ],
             last_response_size=lists.response_size[last],
             transaction_ids=lists.transaction_id[some],
             latencies=latencies,

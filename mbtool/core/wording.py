@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import date
 
+_YEAR_1980_NS = 315_532_800_000_000_000
 _EPOCH = date(1970, 1, 1).toordinal()
 _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86_400
 
@@ -77,6 +78,15 @@ def clock_time(ts_ns: int) -> str:
     seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
     minutes, second = divmod(seconds % _DAY_S, 60)
     return f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}.{milliseconds:03d}"
+
+
+def moment(ts_ns: int) -> str:
+    """Write date and time in UTC, with milliseconds: `2026-11-21 09:14:03.300`.
+
+    Times before 1980 are those of a clock that counts from 0, and get no date.
+    """
+    is_dated = not 0 <= ts_ns < _YEAR_1980_NS
+    return f"{day(ts_ns)} {clock_time(ts_ns)}" if is_dated else clock_time(ts_ns)
 
 
 def day(ts_ns: int) -> str:

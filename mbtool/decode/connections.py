@@ -337,7 +337,8 @@ class ConnectionDecoder:
         events = self._splitters[direction].gap(missing)
         decoded = self._placed(events, direction, ts_ns) if events else []
         cut = sum(event.missing for event in events if isinstance(event, Adu))
-        self._progress[direction].skip(missing, cut, acknowledged_ns)
+        known_ns = ts_ns if kind is EventKind.CUT else acknowledged_ns
+        self._progress[direction].skip(missing, cut, known_ns)
         if not missing:
             decoded += self._pairing.note_loss(direction, 0, ts_ns)
         return [*decoded, lost]
@@ -391,7 +392,7 @@ class ConnectionDecoder:
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part
             if lost:
-                losses.append(_LostBytes(other, lost, received))
+                losses.append(_LostBytes(other, lost, received, self._progress[other].lost_ns))
         decoded: list[Decoded] = []
         for event in events:
             size = len(event.raw)

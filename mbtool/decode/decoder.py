@@ -9,7 +9,8 @@
 #
 # With `any_port` every TCP connection is followed. One that turns out not to be Modbus produces no
 # opening, closing or segment events, and one FOREIGN event for each slave endpoint (for both
-# endpoints if the roles are unknown), up to MAX_FOREIGN_REPORTED endpoints. Ports that the user
+# endpoints if the roles are unknown), up to MAX_FOREIGN_REPORTED endpoints. Its further bytes are
+# not reassembled, so that other protocols cost little. Ports that the user
 # named, and 502, are expected to carry Modbus even then.
 #
 # A connection that two interfaces captured is decoded twice, unless `across` treats them as one.
@@ -282,6 +283,8 @@ class Decoder:
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
         if detector.state is ProtocolState.FOREIGN:
             decoded = self._foreign_once(detector, decoded)
+            if not self._is_expected(chunk.connection):
+                self._reassembler.ignore(chunk.connection)
         records = self._to_records(decoded)
         if len(self._detectors) > MAX_CONNECTIONS:
             _, oldest = self._detectors.popitem(last=False)

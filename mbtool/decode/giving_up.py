@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from mbtool.decode.master_habits import MIN_LATE_NS
@@ -51,7 +52,8 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
     `request` must have the same unit and PDU and come at least MIN_LATE_NS later.
     """
     for reading in readings:
-        awaited = [one for one in reading.waiting if reading.awaits(one)]
+        newest_first = (one for one in reversed(reading.waiting) if reading.awaits(one))
+        awaited = [*islice(newest_first, 2)]  # Many may wait; a second one decides.
         if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
             continue
         (one,) = awaited

@@ -52,6 +52,7 @@ from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.decode.giving_up import give_up_late, give_up_lost, give_up_repeated, request_key
 from mbtool.decode.master_habits import FIRST_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
+from mbtool.decode.order_doubt import OrderDoubt
 from mbtool.decode.pairing_readings import (
     MARGIN,
     MAX_BEFORE,
@@ -67,7 +68,7 @@ from mbtool.decode.pairing_readings import (
     without_costly,
     without_pipelined,
 )
-from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, plain_request
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -99,11 +100,14 @@ HOLD_NS = 3_000_000_000
 requests. A user who watches a live capture sees its transaction later by up to this time."""
 MAX_LOST_REQUESTS = 32
 """The most requests that are supposed to be in one run of lost bytes."""
-MANY_LOSSES = 8
+MANY_LOSSES = 2
 NEAR_REQUESTS = 32
-"""If the capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests, whose ids repeat and
-which are pipelined, more losses were hidden among them than can be counted. In simulated plants of
-which every fifth packet is lost, 2 % of these pairs are wrong, and 0.06 % if every twentieth is."""
+"""Losses whose number of requests or responses is not known make the later pairs doubtful if the
+capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. A single such loss is told
+well enough by its length: in simulated plants no pair is wrong if every twentieth packet is lost.
+If every fifth is, 0.05 % of the pairs told as sure are wrong (0.3 % with MANY_LOSSES = 3)."""
+ONE_REQUEST = 16
+"""Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
 RECENT_WAITS = 16
 ENOUGH_WAITS = 3
 EVEN = 0.15
@@ -141,12 +145,12 @@ class NetworkPairing:
         self._dropped = DroppedRequests()
         self.response_is_cut = False
         """True while the splitter holds the start of a response whose end the capture lacks."""
-        self._is_shifted = False
-        """True while each response may belong to the request before the one that it is paired with.
-        That begins with a choice between ways to pair of equal cost. It ends with a silence, or
-        with a response that fits its request and not the request before."""
-        self._last_two: tuple[OpenRequest | None, OpenRequest | None] = (None, None)
-        """The last but one captured request, and the last one; None where there is none yet."""
+        self._doubt: OrderDoubt | None = None
+        """Set while each response may belong to another request than the one that it is paired
+        with: after a choice between ways to pair of equal cost, and after a loss of requests or
+        responses whose number is not known."""
+        self._most_waiting = 1
+        """The most requests with the same transaction id that waited at once."""
 
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time; return the transactions that it decides."""
@@ -164,7 +168,7 @@ class NetworkPairing:
         """
         reading = self._readings[0]
         is_open = len(self._readings) > 1 or reading.waiting or reading.steps or reading.before > 0
-        remembers = not self._dropped.is_empty or self._is_shifted or self._is_lossy
+        remembers = not self._dropped.is_empty or self._is_doubtful
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
     def limits(self) -> PlainLimits:
@@ -188,11 +192,8 @@ class NetworkPairing:
         for function, latencies in stretch.latencies.items():
             self._habits.note_latencies(function, latencies)
         self.response_is_cut = False
-        for raw in stretch.last_requests:
-            adu = plain_request(raw, stretch.requests.last_ns)
-            one = OpenRequest(number=self._requests, since_ns=adu.end_ns, adu=adu)
-            self._last_two = (self._last_two[1], one)
-            self._settle_loss(adu)
+        self._doubt = None
+        self._settle_loss(stretch.requests.last_ns)
 
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None
@@ -205,7 +206,6 @@ class NetworkPairing:
         done: list[Transaction] = []
         self._lost_ns = at_ns
         self._losses.append(self._requests)
-        self._is_shifted |= self._is_lossy
         if direction is Direction.REQUEST:
             self._requests_lost_ns = at_ns
             waiting = self._readings[0].waiting
@@ -219,6 +219,8 @@ class NetworkPairing:
                 self._open(None, place, at_ns, done)
                 is_one = place is not None and not (number and lost % _USUAL_REQUEST)
                 self._readings[0].waiting[-1].exists = is_one
+            if self._is_lossy and (end is None or lost >= ONE_REQUEST):
+                self._doubt = OrderDoubt([])
         else:
             self._lose_responses(lost, at_ns)
         self._settle(done)
@@ -261,7 +263,7 @@ class NetworkPairing:
         self._settle(done)
         self._decide(done)
         (reading,) = self._readings
-        rest = sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
+        rest = _open_in(reading)
         self._readings = [PairReading([], [])]
         for one in rest:
             if one.adu is not None and one.number in unfinished[id(reading)]:
@@ -283,12 +285,15 @@ class NetworkPairing:
             if self._habits.is_sequential:
                 self._readings = without_pipelined(self._readings)
             self._settle(done)
-        elif self._is_shifted:
+        elif self._doubt is not None:
             since_ns = request.start_ns - self._habits.last_response_ns
-            self._is_shifted = since_ns <= self._habits.silence_ns(request.pdu[0])
+            is_quiet = since_ns > self._habits.silence_ns(request.pdu[0])
+            if is_quiet or not (self._doubt.is_of_choice or self._habits.has_pipelined):
+                self._doubt = None
         waiting = self._readings[0].waiting
         repeats = (
             bool(waiting)
+            and self._requests_lost_ns is not None
             and self._habits.repeats_id(request.transaction_id)
             and any(one.adu is None for one in waiting)
         )
@@ -296,7 +301,6 @@ class NetworkPairing:
         self._open(request, place, request.end_ns, done, is_pipelined=is_pipelined)
         one = self._readings[0].waiting[-1]
         one.repeats_lost_id = repeats
-        self._last_two = (self._last_two[1], one)
 
     def _open(
         self,
@@ -322,8 +326,21 @@ class NetworkPairing:
             self._note_next(self._readings[0].waiting[-1], request, at_ns)
         for reading in self._readings:
             if reading.waiting and reading.someone_waits:
-                reading.behind_others |= {one.number}
+                reading.behind_others.add(one.number)
             reading.waiting.append(one)
+            reading.forget_closed()
+        is_more = len(self._readings[0].waiting) > self._most_waiting
+        if is_more and not self._habits.ids_count_up:
+            self._most_waiting = max(self._same_id(one), self._most_waiting)
+        if self._doubt is not None:
+            self._doubt.note_request(one)
+
+    def _same_id(self, request: OpenRequest) -> int:
+        """Return how many waiting requests have the transaction id of one of them."""
+        waiting = self._readings[0].waiting
+        if not self._habits.ids_vary:
+            return len(waiting)
+        return sum([one.transaction_id == request.transaction_id for one in waiting])
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
         """Remove the oldest of too many waiting requests, and add its transaction to `done`."""
@@ -348,11 +365,7 @@ class NetworkPairing:
             # Usually one request waits. This shortcut makes pairing an ADU take 8 instead of 13 us.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
-            if self._is_shifted:
-                before, latest = self._last_two
-                is_other = before is None or not before.fits(response)
-                self._is_shifted = not (is_other and latest is not None and latest.fits(response))
-            done.append(self._with_response(response, one, since_ns))
+            done.append(self._with_response(response, one, since_ns, place))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
         readings: list[PairReading] = []
@@ -360,9 +373,9 @@ class NetworkPairing:
             found = self._options(reading, response, place, is_only_one=is_only_one)
             for option in found[1:]:
                 other = reading.copy()
-                other.take(option, response, self._habits, since_ns)
+                other.take(option, response, self._habits, since_ns, place)
                 readings.append(other)
-            reading.take(found[0], response, self._habits, since_ns)
+            reading.take(found[0], response, self._habits, since_ns, place)
             readings.append(reading)
         self._readings = readings
         self._habits.last_response_ns = response.end_ns
@@ -422,17 +435,24 @@ class NetworkPairing:
 
     def _lose_responses(self, lost: int, at_ns: int) -> None:
         runs: list[tuple[float, float, int, int, PairReading]] = []
+        is_counted = True
         for reading in self._readings:
             found = [
                 (reading.cost + cost, cost, start, count, reading)
                 for cost, start, count in self._lost_runs(reading, lost)
             ]
             if not found:
-                for one in reading.waiting:
-                    one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
+                is_counted &= reading.has_different_ids(self._habits)
+                open_ = _open_in(reading)
+                for one in open_:
+                    one.may_be_lost |= not lost or may_be_among(lost, one, open_)
                 found = [(reading.cost, 0.0, 0, 0, reading)]
             runs += found
         limit = min(total for total, *_ in runs) + MARGIN
+        is_counted = is_counted and sum(total <= limit for total, *_ in runs) == 1
+        if self._is_lossy and not is_counted:
+            is_begin = self._doubt is None
+            self._doubt = OrderDoubt(_open_in(self._readings[0]), others_answered=is_begin)
         if len(runs) == 1 and not runs[0][3]:
             return
         self._readings = []
@@ -475,19 +495,33 @@ class NetworkPairing:
         self._readings = [best]
         best.steps = ()
         self._show(steps, done)
-        self._is_shifted |= bool(others)
+        if others:
+            self._doubt = OrderDoubt(_open_in(best), is_of_choice=True)
 
     def _show(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
         (reading,) = self._readings
         for step in steps:
             if step.response is not None:
                 done.append(self._responded(step.response, step))
+                self._excuse_others(step.response, step)
                 continue
             for one in step.requests:
                 if one.adu is not None:
                     done.append(response_not_captured(self._ends, one.adu))
         while len(reading.passed) > MAX_PASSED:
             self._close(reading.passed.pop(0), done)
+
+    def _excuse_others(self, response: Adu, step: PairStep) -> None:
+        """Note that open requests may have got `response`, if that is not known for a loss."""
+        is_lost = bool(step.requests) and step.requests[0].adu is None
+        is_doubtful = not step.is_sure or self._is_doubtful
+        if not (is_lost or (is_doubtful and self._is_near_loss(self._lost_ns, response))):
+            return
+        (reading,) = self._readings
+        for one in (*reading.passed, *reading.waiting):
+            is_same_id = one.transaction_id == response.transaction_id
+            if is_same_id and one.can_get(response, step.place):
+                one.may_be_answered = True
 
     def _responded(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
@@ -496,7 +530,12 @@ class NetworkPairing:
                 outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
         return self._with_response(
-            response, step.requests[0], step.since_ns, is_sure=step.is_sure, is_late=step.is_late
+            response,
+            step.requests[0],
+            step.since_ns,
+            step.place,
+            is_sure=step.is_sure,
+            is_late=step.is_late,
         )
 
     def _may_lack_request_of(self, response: Adu) -> bool:
@@ -510,6 +549,7 @@ class NetworkPairing:
         response: Adu,
         one: OpenRequest,
         since_ns: int,
+        place: AduPlace | None,
         *,
         is_sure: bool = True,
         is_late: bool = False,
@@ -524,7 +564,9 @@ class NetworkPairing:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
         if one.adu.unit != response.unit:
             verdicts += (Verdict.OTHER_UNIT,)
-        is_sure = is_sure and not (self._is_shifted or self._is_lossy)
+        if self._doubt is not None:
+            self._doubt.note_pair(response, place, one, self._most_waiting)
+            is_sure = is_sure and not self._is_doubtful
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)
         elif response.start_ns >= one.adu.end_ns and not is_late:
@@ -532,12 +574,12 @@ class NetworkPairing:
             self._habits.note_latency(one.adu.pdu[0], latency_ns)
         if is_sure and not is_late:
             self._habits.note_answered(one.number)
-            self._settle_loss(one.adu)
+            self._settle_loss(one.adu.start_ns)
         retries, confidence = self._take_retries(one), 1.0 if is_sure else DOUBTFUL
         done = with_response(self._ends, one.adu, response, retries, verdicts, confidence)
         return late(done) if self._was_given_up(one) else done
 
-    def _settle_loss(self, answered: Adu) -> None:
+    def _settle_loss(self, answered_ns: int) -> None:
         """Forget the last loss if no response to a request from before it can come any more.
 
         Slaves respond in order. So none can come once the slave has responded to a request that was
@@ -546,18 +588,30 @@ class NetworkPairing:
         habits = self._habits
         if self._lost_ns is None or habits.has_pipelined or habits.reorders:
             return
-        if answered.start_ns > self._lost_ns:
+        if answered_ns > self._lost_ns:
             self._lost_ns = None
 
     @property
     def _is_lossy(self) -> bool:
-        """True if so many bytes are missing that no pair of pipelined requests is sure.
+        """True if the capture lacked bytes MANY_LOSSES times within the last NEAR_REQUESTS."""
+        losses = self._losses
+        return len(losses) == MANY_LOSSES and self._requests - losses[0] <= NEAR_REQUESTS
 
-        If ids count up, each request has an id of its own, and its pair is sure.
+    @property
+    def _is_doubtful(self) -> bool:
+        """True if responses may belong to other requests than those that they are paired with.
+
+        If ids count up, each request has an id of its own. A master that never pipelined has one
+        request open, whatever the number of lost ones.
         """
-        if len(self._losses) < MANY_LOSSES or self._requests - self._losses[0] > NEAR_REQUESTS:
+        doubt, habits = self._doubt, self._habits
+        if doubt is None:
             return False
-        return self._habits.pipelines and not self._habits.ids_count_up
+        if not doubt.is_of_choice and (habits.ids_count_up or not habits.has_pipelined):
+            return False
+        if doubt.is_settled(self._most_waiting):
+            self._doubt = None
+        return self._doubt is not None
 
     def _was_given_up(self, one: OpenRequest) -> bool:
         """True if the master sent its next request because it no longer waited for this one."""
@@ -598,8 +652,14 @@ class NetworkPairing:
         """Add the transaction of request `one` without response, if it was captured, to `done`."""
         if one.adu is None:
             return
-        if one.may_be_lost or one.adu.missing or self.response_is_cut:
+        is_excused = one.may_be_lost or one.may_be_answered or one.adu.missing > 0
+        if is_excused or self.response_is_cut:
             done.append(response_not_captured(self._ends, one.adu))
             return
         retries = self._unanswered.add(one.adu) if one.counts else 0
         done.append(no_answer(self._ends, one.adu, retries))
+
+
+def _open_in(reading: PairReading) -> list[OpenRequest]:
+    """Return the requests of a reading that have no response, in the order of their sending."""
+    return sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)

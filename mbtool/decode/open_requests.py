@@ -43,6 +43,9 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """True if the capture lacks this request and it is doubtful that it was ever sent."""
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been the response to this request."""
+    may_be_answered: bool = False
+    """True if a response that is paired with another request, or with one that the capture lacks,
+    may as well be the response to this one."""
     repeats_lost_id: bool = False
     """True if ids count up, the capture lacks a request before this one, and no id is missing for
     it. The lost request may then have had the id of this one."""

@@ -29,7 +29,7 @@ from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
 from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.stream_progress import AduPlace
@@ -90,6 +90,9 @@ guesses with the earliest requests come first, as a slave answers in order. More
 a connection that is not Modbus."""
 MAX_READINGS = 20
 MAX_PASSED = 64
+MAX_NUMBERS = 1024
+"""If more numbers of requests are remembered, those of closed requests are forgotten. At most 320
+requests are open, so that this is done rarely."""
 MAX_LOST_RESPONSES = 8
 """Lost bytes are taken for at most this many responses. This limits the number of combinations of
 response lengths that are tried."""
@@ -109,6 +112,8 @@ class PairStep(NamedTuple):
     is_sure: bool = True
     is_late: bool = False
     """True if the request was given up before the response came."""
+    place: AduPlace | None = None
+    """The position of the response in the connection; None if unknown."""
 
 
 class PairOption(NamedTuple):
@@ -148,8 +153,8 @@ class PairReading:
         steps: tuple[PairStep, ...] = (),
         cost: float = 0.0,
         newest: int = 0,
-        given_up: frozenset[int] = frozenset(),
-        behind_others: frozenset[int] = frozenset(),
+        given_up: Iterable[int] = (),
+        behind_others: Iterable[int] = (),
         gave_up_ns: int = 0,
         before: int = 0,
         *,
@@ -165,12 +170,12 @@ class PairReading:
         self.newest = newest
         """The highest number of a request that got its response from `waiting` while another
         request had none yet; 0 if there was none. Requests of a connection are counted from 1."""
-        self.given_up = given_up
+        self.given_up = set(given_up)
         """The numbers of the requests for whose responses the master waits no longer, or whose
         responses are overdue."""
         self.gave_up_ns = gave_up_ns
         """The time (ns) at which a request was last marked as given up."""
-        self.behind_others = behind_others
+        self.behind_others = set(behind_others)
         """The numbers of the requests that were sent while the master waited for other
         responses."""
         self.before = before
@@ -182,7 +187,7 @@ class PairReading:
     @property
     def someone_waits(self) -> bool:
         """True if the master waits for a response to any request."""
-        return any(self.awaits(one) for one in self.waiting)
+        return any(self.awaits(one) for one in reversed(self.waiting))  # The newest most likely.
 
     def awaits(self, one: OpenRequest) -> bool:
         """True if the master waits for the response to this request."""
@@ -190,8 +195,15 @@ class PairReading:
 
     def give_up(self, late: list[OpenRequest]) -> None:
         """Note that the master no longer waits for the responses to the requests `late`."""
-        self.given_up |= {one.number for one in late}
+        self.given_up.update(one.number for one in late)
         self.cost += LATE * sum(not one.may_be_lost for one in late)
+
+    def forget_closed(self) -> None:
+        """Forget the numbers of requests that are closed, once MAX_NUMBERS are remembered."""
+        if max(len(self.given_up), len(self.behind_others)) > MAX_NUMBERS:
+            numbers = {one.number for one in (*self.passed, *self.waiting)}
+            self.given_up &= numbers
+            self.behind_others &= numbers
 
     def has_different_ids(self, habits: MasterHabits) -> bool:
         """True if several requests wait for responses, and each has its own transaction id."""
@@ -223,18 +235,28 @@ class PairReading:
             used_before=self.used_before,
         )
 
-    def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
+    def take(
+        self,
+        option: PairOption,
+        response: Adu,
+        habits: MasterHabits,
+        since_ns: int,
+        place: AduPlace | None = None,
+    ) -> None:
         """Assign a response to the request of an option, and add the option's cost.
 
-        `since_ns` is the time at which the response before this one was complete.
+        `since_ns` is the time at which the response before this one was complete; `place` is the
+        position of the response in the connection, None if unknown.
         """
         self.cost += option.cost
         request = option.request
         if request is None:
-            self.steps += (PairStep(response.end_ns, response, (), since_ns),)
+            self.steps += (PairStep(response.end_ns, response, (), since_ns, place=place),)
             return
         is_late = request.number in self.given_up
-        step = PairStep(response.end_ns, response, (request,), since_ns, is_late=is_late)
+        step = PairStep(
+            response.end_ns, response, (request,), since_ns, is_late=is_late, place=place
+        )
         self.steps += (step,)
         if request is REQUEST_BEFORE:
             self.before -= 1
@@ -322,6 +344,8 @@ def options(
             if passed > best + MARGIN:
                 return
         skipped.append(one)
+    if best + MARGIN < OUT_OF_ORDER:
+        return  # The requests in `passed` cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
             cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
@@ -496,7 +520,7 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
     for reading in sorted(readings, key=likely_cost):
         if reading.cost > limit:
             continue
-        key = (reading.before, *(one.number for one in reading.waiting))
+        key = (reading.before, *[one.number for one in reading.waiting])
         if key in kept:
             _mark_differences(kept[key], reading)
         elif len(kept) < MAX_READINGS:
@@ -519,7 +543,7 @@ def likely_cost(reading: PairReading) -> float:
 
     The reading with the lowest such cost is chosen among readings of about the same cost.
     """
-    return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
+    return reading.cost + UNLIKELY * sum([step.is_late for step in reading.steps])
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
@@ -531,7 +555,7 @@ def _mark_differences(kept: PairReading, other: PairReading) -> None:
         if one.requests == two.requests:
             steps.append(one)
             continue
-        steps.append(one._replace(is_sure=False))
+        steps.append(one._replace(is_sure=False) if one.is_sure else one)
         if one.response is None:
             for request in (*one.requests, *two.requests):
                 request.may_be_lost = True

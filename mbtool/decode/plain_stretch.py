@@ -15,9 +15,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction
-from mbtool.modbus.adu import MBAP_BYTES, Adu, DirectionBy, Transport
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -29,8 +26,6 @@ class PlainStretch(NamedTuple):
 
     requests: PlainBytes
     responses: PlainBytes
-    last_requests: Sequence[bytes]
-    """The ADUs of the last two requests, in order; of the only request if there is one."""
     last_response_size: int
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]
@@ -53,19 +48,3 @@ class PlainLimits(NamedTuple):
 
 
 NO_LIMITS = PlainLimits(frozenset(), frozenset(), 2**63 - 1)
-
-
-def plain_request(raw: bytes, ts_ns: int) -> Adu:
-    """Make the ADU of a Modbus/TCP request from its bytes."""
-    return Adu(
-        start_ns=ts_ns,
-        end_ns=ts_ns,
-        transport=Transport.TCP,
-        direction=Direction.REQUEST,
-        direction_by=DirectionBy.PORT,
-        confidence=1.0,
-        unit=raw[MBAP_BYTES - 1],
-        pdu=raw[MBAP_BYTES:],
-        raw=raw,
-        transaction_id=raw[0] << 8 | raw[1],
-    )

@@ -55,8 +55,8 @@ class StreamProgress:
         self.has_part = False
         """True while the splitter holds the start of a response whose end the capture lacks."""
         self.lost_ns: int | None = None
-        """The time, in UTC ns, at which the receiver had acknowledged all lost bytes behind the
-        last ADU; None if unknown."""
+        """The time, in UTC ns, at which all lost bytes behind the last ADU had been sent, at the
+        latest; None if unknown."""
         self._missing = 0
         """The number of missing bytes in the gaps behind the last ADU, as they were reported."""
         self._known = 0
@@ -108,7 +108,7 @@ class StreamProgress:
             return 0
         captured = self._begin(received) if self.captured is None else self.captured
         if received > captured:
-            self.captured = received
+            self.captured, self.lost_ns = received, None
         elif not self._missing:
             return 0
         return self._tell(received, received)
@@ -124,13 +124,13 @@ class StreamProgress:
         self.has_part = False
         return lost
 
-    def skip(self, missing: int, known: int, acknowledged_ns: int | None = None) -> None:
+    def skip(self, missing: int, known: int, known_ns: int | None = None) -> None:
         """Note a gap of `missing` bytes; `known` of them belong to an ADU whose start was captured.
 
-        `acknowledged_ns` is the time at which the receiver had acknowledged all missing bytes; None
+        `known_ns` is the time at which the capture shows that all missing bytes had been sent; None
         if unknown.
         """
-        self.lost_ns = acknowledged_ns
+        self.lost_ns = known_ns
         self.unread = 0
         self._missing += missing - known
         if self.captured is not None:

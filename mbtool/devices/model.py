@@ -374,6 +374,11 @@ class Profile(_Part, frozen=True, kw_only=True):
         list[str], _about("Sentences for readers: assumptions, contradictions in the manual.")
     ] = []
 
+    @property
+    def has_rules(self) -> bool:
+        """False if the profile only names points, and says nothing about areas and functions."""
+        return bool(self.areas or self.functions)
+
     def rule(self, function: int) -> FunctionRule | None:
         """The rule for a function; None if the device does not have it."""
         return self.functions.get(f"{function:02X}")

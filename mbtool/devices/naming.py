@@ -42,7 +42,7 @@ from mbtool.devices.profile_checks import (
     values_outside,
     written_by_17h,
 )
-from mbtool.devices.references import write_reference
+from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.response_checks import response_findings
 from mbtool.devices.scale_factors import ScaleFactors
 from mbtool.devices.standard_checks import form_codes, request_codes
@@ -171,7 +171,9 @@ class _Vocabulary:
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
-        self._device = profile.name if profile is not None else None
+        self._rules = profile if profile is not None and profile.has_rules else None
+        """The profile, if it states rules; None if it only names points."""
+        self._device = self._rules.name if self._rules is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
         """The points sorted by address. The key is the table and a flag: True for the points that a
         write may contain, False for those that a read may contain."""
@@ -275,7 +277,7 @@ class _Vocabulary:
         )
         findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
-        profile = self.profile
+        profile = self._rules
         if transaction.unit > self._last_unit and transaction.transport.is_serial:
             findings.append(unit_finding(profile, transaction.unit))
         if profile is not None:
@@ -333,7 +335,7 @@ class _Vocabulary:
     def _find_meaning(self, transaction: Transaction) -> _Meaning:
         function, address = transaction.function, transaction.address
         quantity = transaction.quantity
-        findings = tuple(request_findings(self.profile, transaction))
+        findings = tuple(request_findings(self._rules, transaction))
         title: str | None = None
         answer: PointInstance | None = None
         texts: Mapping[int, str] = {}
@@ -406,7 +408,8 @@ class _Vocabulary:
         for address in span:
             if address not in named:
                 reference = write_reference(self.profile, table, address, writing=writing)
-                point = Point(name=reference, table=table, address=address, type=kind)
+                name = reference if self._rules is not None else f"{SHORT_WORDS[table]}{address}"
+                point = Point(name=name, table=table, address=address, type=kind)
                 points.append(PointInstance(point, address, reference))
         return sorted(points, key=lambda point: point.address)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -49,16 +50,18 @@ class TimedBuffer:
 
         Raises IndexError beyond the end.
         """
-        place = self._taken + index
-        for end, ts_ns, origin in self._marks:
-            if place < end:
-                return ts_ns, origin
-        raise IndexError(index)
+        at = bisect_left(self._marks, (self._taken + index + 1,))
+        if at == len(self._marks):
+            raise IndexError(index)
+        return self._marks[at][1:]
 
     def is_seam(self, index: int) -> bool:
         """True if an `append` began or ended directly before the byte at an index of the buffer."""
         place = self._taken + index
-        return place == self._last_end or any(mark[0] == place for mark in self._marks)
+        if place == self._last_end:
+            return True
+        at = bisect_left(self._marks, (place,))
+        return at < len(self._marks) and self._marks[at][0] == place
 
     def peek(self, size: int, at: int = 0) -> bytes:
         """Return up to `size` bytes from index `at` on, which stay in the buffer."""

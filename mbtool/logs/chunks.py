@@ -28,7 +28,7 @@ from mbtool.logs.layout import MAX_RECORD, RECORD_HEAD
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-MAX_RATIO = 400
+MAX_RATIO = 200
 
 CHUNK_HEAD = struct.Struct("<QQQII")
 """The beginning of a chunk's content: start time, end time, unpacked size, CRC, and the length of

@@ -13,6 +13,9 @@
 # captured data follow one another, their reads and packets are merged by time.
 #
 # Memory: BATCH messages, and the schema of each channel (at most 65,535).
+#
+# Work: a log has at most as many records as bytes, plus MIN_RECORDS. The rest of a chunk with more
+# is a hole: zeros that unpack to a thousand times their size would be millions of empty records.
 
 from __future__ import annotations
 
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
     from mbtool.logs.records import RecordStream
 
 BATCH = 4096
+MIN_RECORDS = 1 << 18
 _COUNTED = 16
 """A message with joined serial reads becomes many items, one for each read, which takes at least 2
 bytes of the message. So it counts as 1 plus its length in bytes divided by this number. A batch
@@ -81,6 +85,7 @@ _MESSAGE = struct.Struct("<BQH4xQ")
 _HEAD = RECORD_HEAD.size
 _DATA_AT = _HEAD + MESSAGE_HEAD.size
 _IS_MESSAGE = int(Opcode.MESSAGE)
+_DEFINITIONS = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
 
 
 class MessageDecoder:
@@ -91,6 +96,8 @@ class MessageDecoder:
         self._damage = damage
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, str] = {}
+        self._walked = 0
+        """The number of records in all chunks so far."""
         self.end_ns = 0
         """The log time (ns) of the last item that was decoded; 0 before the first."""
         self.impossible = ImpossibleItems()
@@ -121,16 +128,25 @@ class MessageDecoder:
         # Half of the time of reading a log is spent in this loop, so it calls methods by local
         # names.
         end = len(data)
-        padded = data + bytes(_MESSAGE.size)  # So that the last head can be unpacked whole.
+        last = end - _MESSAGE.size
+        walked, allowed = self._walked, batch.offset + MIN_RECORDS
         unpack, schema_of = _MESSAGE.unpack_from, self._channels.get
         add, add_schema = batch.raw.append, batch.order.append
         left = BATCH
         last_ns = 0
         while at < end and left > 0:
-            opcode, length, channel, log_ns = unpack(padded, at)
+            if at <= last:
+                opcode, length, channel, log_ns = unpack(data, at)
+            else:  # A record of a few bytes is not a message, but its head is unpacked as one.
+                opcode, length, channel, log_ns = unpack(data[at:] + bytes(_MESSAGE.size))
             to = at + _HEAD + length
+            walked += 1
             if to > end:
                 self._hole(batch.offset, "a chunk that ends inside a record", end - at)
+                at = end
+                break
+            if walked > allowed:
+                self._hole(batch.offset, f"more than {allowed} records", end - at)
                 at = end
                 break
             if opcode == _IS_MESSAGE:
@@ -144,10 +160,11 @@ class MessageDecoder:
                     last_ns = log_ns
                     add(data[at + _DATA_AT : to])
                     add_schema(schema)
-            else:
+            elif opcode in _DEFINITIONS:
                 self._learn(opcode, batch.offset, data[at + _HEAD : to])
             at = to
         batch.end_ns = last_ns
+        self._walked = walked
         return at
 
     def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:

@@ -38,7 +38,9 @@ from mbtool.master.other_master import (
     FEW_BYTES,
     MARGIN_NS,
     MOST_LISTEN_NS,
+    RELIABLE,
     SILENT_LISTEN_NS,
+    NoPauseError,
     OtherMaster,
 )
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
@@ -72,6 +74,9 @@ _POLL_S = 0.001
 for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
 """The longest wait in ns for a pause of another master."""
+_LONGEST_LATER_TURN_NS = 180_000_000_000
+"""The same once a request was sent in a pause. Then there are long pauses, and a short one that was
+heard since, such as that before a request out of turn, is soon forgotten."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
@@ -153,6 +158,8 @@ class MasterLink(ABC):
         is lost.
         """
         wait_ns = self._await_turn(unit, pdu)
+        while not self._is_turn():
+            wait_ns = self._await_turn(unit, pdu)
         self.receive(0)  # Drop late responses, which would be taken for this request's.
         self._unread.clear()
         self._asked += 1
@@ -179,6 +186,10 @@ class MasterLink(ABC):
         if self.limits.pause_ns:
             time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / SECOND_NS)
         return self.limits.timeout_ns
+
+    def _is_turn(self) -> bool:
+        """False if the turn has passed since `_await_turn`, as this process was suspended."""
+        return True
 
     def _is_answered(self, wait_ns: int) -> bool:
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
@@ -468,6 +479,11 @@ class SerialMaster(MasterLink):
         """The other master in whose pauses requests are sent; None if the line is ours alone."""
         self._turns = 0
         """The number of requests that were sent in its pauses."""
+        self._turn_ends_ns = 0
+        """The latest time (ns) at which the next request may be sent in the present pause."""
+        self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
+        """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
+        and True for a request of ours and for what comes until the next turn is awaited."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -485,6 +501,8 @@ class SerialMaster(MasterLink):
             rest_ns = until_ns - time.monotonic_ns()
             with port_in_use(self.link):
                 data, at_ns = self._read(min(max(rest_ns, 0), self.link.format.t3_5_ns))
+            if data:
+                self.on_bytes(data, at_ns, True)
             events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
             for event in events:
                 self._note_intrusion(event)
@@ -504,6 +522,7 @@ class SerialMaster(MasterLink):
         with port_in_use(self.link):
             self._port.write(raw)
             self._port.flush()
+        self.on_bytes(raw, time.monotonic_ns(), True)
 
     def overhear(self, wait_ns: int) -> tuple[bytes, int]:
         """Return bytes that others sent, and the time of the last one, in ns of the monotonic
@@ -512,7 +531,10 @@ class SerialMaster(MasterLink):
         Raises LinkError if the port is lost.
         """
         with port_in_use(self.link):
-            return self._read(wait_ns)
+            data, at_ns = self._read(wait_ns)
+        if data:
+            self.on_bytes(data, at_ns, False)
+        return data, at_ns
 
     def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:
         if listen_ns == 0:
@@ -542,19 +564,40 @@ class SerialMaster(MasterLink):
         if self._other is None:
             return super()._await_turn(unit, pdu)
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
-        if needed_ns > self._other.longest_pause_ns and not self._turns:
-            raise self._no_pause(self._other, unit, needed_ns)
+        # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
+        most_ns = self._other.longest_pause_ns
+        if self._turns:
+            most_ns = round(self._other.greatest_pause_ns * RELIABLE)
+        if needed_ns > most_ns:
+            raise NoPauseError(
+                f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
+                f"the longest sure one of the other master is {duration(most_ns)}; it was not sent"
+                ". A shorter --timeout needs less, a longer --listen may find more"
+            )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        until_ns = time.monotonic_ns() + LONGEST_TURN_NS
-        while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
+        until_ns = time.monotonic_ns() + self._longest_turn_ns
+        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
             if now_ns > until_ns:
-                raise self._no_pause(self._other, unit, needed_ns)
+                raise NoPauseError(
+                    f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
+                    f"{duration(self._longest_turn_ns)}; the request was not sent"
+                )
             self._other.feed(*self.overhear(self.link.format.t3_5_ns))
             needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
+        self._turn_ends_ns = now_ns + rest_ns - needed_ns
         self._other.note_our_request()
         self._turns += 1
         return wait_ns
+
+    def _is_turn(self) -> bool:
+        if self._other is None:
+            return True
+        return time.monotonic_ns() <= self._turn_ends_ns and not self._has_bytes(0.0)
+
+    @property
+    def _longest_turn_ns(self) -> int:
+        return _LONGEST_LATER_TURN_NS if self._turns else LONGEST_TURN_NS
 
     def _needed_ns(self, other: OtherMaster, unit: int, pdu: bytes) -> tuple[int, int]:
         """Return the length, in ns, of the pause that a request needs, and the wait for its
@@ -569,19 +612,6 @@ class SerialMaster(MasterLink):
         if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
             wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
         return rest_ns + wait_ns, wait_ns
-
-    def _no_pause(self, other: OtherMaster, unit: int, needed_ns: int) -> LinkError:
-        longest_ns = other.longest_pause_ns
-        if needed_ns <= longest_ns or self._turns:
-            return LinkError(
-                f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
-                f"{duration(LONGEST_TURN_NS)}; the request was not sent"
-            )
-        return LinkError(
-            f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
-            f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
-            "sent. A shorter --timeout needs less, a longer --listen may find more"
-        )
 
     def _has_missed_bytes(self) -> bool:
         """Drop what has waited in the port since the last read, as it came at times that nobody

@@ -57,6 +57,10 @@ _NAMED = 3
 """So many polls of the other master are named to the user."""
 
 
+class NoPauseError(LinkError):
+    """The other master leaves no pause that is long enough for a request; a shorter one may fit."""
+
+
 @dataclass(slots=True)
 class HeardPoll:
     """A request that another master repeats. All times are in ns."""
@@ -210,6 +214,11 @@ class OtherMaster:
     def longest_pause_ns(self) -> int:
         """The longest pause, in ns, that one can rely on; 0 if there is none."""
         return max((one.pause_ns for one in self.polls.values()), default=0)
+
+    @property
+    def greatest_pause_ns(self) -> int:
+        """The longest pause, in ns, that was heard lately; 0 if there is none."""
+        return max((max(one.pauses, default=0) for one in self.polls.values()), default=0)
 
     def latency_ns(self, unit: int) -> int | None:
         """Return the longest latency heard of a unit, in ns; None if no response was heard."""

@@ -219,6 +219,11 @@ def crc_on(before: int, data: bytes) -> int:
     return crc16.modbus(data, before)
 
 
+CRC_TABLE = tuple(crc_on(0, bytes([byte])) for byte in range(256))
+"""For each byte, the CRC of that byte alone, if the register begins with 0. To continue a CRC by
+one byte: `CRC_TABLE[(crc ^ byte) & 0xFF] ^ crc >> 8`."""
+
+
 def lrc(data: bytes) -> int:
     """The LRC: the two's complement of the 8-bit sum of the bytes (Serial Line V1.02, 6.2.1)."""
     return -sum(data) & 0xFF

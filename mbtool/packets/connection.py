@@ -88,6 +88,7 @@ class TcpConnection:
         "_directions",
         "_finisher",
         "_has_acknowledged",
+        "_is_ignored",
         "_master_is_lower",
         "_now_ns",
         "_opened_ns",
@@ -117,6 +118,8 @@ class TcpConnection:
         self.unanswered_probes = 0
         """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._opened_ns = ts_ns
+        self._is_ignored = False
+        """True once the bytes of this connection are not wanted any more; only its end is told."""
         self._has_acknowledged = False
         """True once a segment other than one that continues both streams in order had an
         acknowledgement."""
@@ -160,6 +163,12 @@ class TcpConnection:
         self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
 
+    def ignore(self) -> None:
+        """Deliver no more bytes of this connection; drop those that are held."""
+        self._is_ignored = True
+        for stream, _ in self._directions:
+            stream.drop_held()
+
     def note_time(self, ts_ns: int) -> None:
         self._now_ns = max(self._now_ns, ts_ns)
 
@@ -186,6 +195,9 @@ class TcpConnection:
             return False
         self._arrivals += 1
         sender, other = self._directions[from_lower != self._master_is_lower]
+        if self._is_ignored and segment.payload and segment.flags & _STATE_FLAGS == ACK:
+            sender.skip_to(segment.sequence, len(segment.payload) + segment.missing)
+            return False
         if sender is not self._prober:
             self.unanswered_probes = 0
         if (
@@ -233,6 +245,9 @@ class TcpConnection:
         if segment.payload or segment.missing:
             self._take_payload(segment, sequence, acknowledged, sender, other, origin)
         elif flags == ACK:
+            if other.origin is None and sender.beginning == sequence and not sender.sent:
+                # The third segment of the handshake; the capture lacks the second, with the SYN.
+                other.begin(segment.acknowledgement)
             if sender.is_before_next(sequence):
                 self.keep_alives += 1
             elif sender.origin is not None:
@@ -469,6 +484,11 @@ class TcpConnection:
             stream.pass_over(hole + 1)
             self.keep_alives += 1
         elif hole:
+            if stream.joining and first.start > LEAD:
+                # The first segment of the other end had acknowledged the bytes before LEAD, so the
+                # missing bytes are behind it.
+                stream.pass_over(LEAD)
+                hole = first.start - LEAD
             if not stream.joining:
                 received_ns = stream.acknowledged_ns(first.start)
                 gap = StreamGap(

@@ -108,6 +108,8 @@ class TcpReassembler:
         self._out: list[StreamItem] = []
         self._packet: Packet | None = None
         """The packet that `feed` is reading or read last; None before the first."""
+        self._followed: TcpConnection | EndedConnection | None = None
+        """The connection of the last segment that was taken; None before the first."""
         self._ip_at = 0
         """The length in bytes of the link-layer header of `_packet`, which has the MAC addresses; 0
         if the IP packet is inside a tunnel: the MAC addresses are then not those of its ends."""
@@ -143,6 +145,12 @@ class TcpReassembler:
         self._finish(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
+
+    def ignore(self, identity: Connection) -> None:
+        """Deliver no more bytes of a connection, if the last segment belonged to it."""
+        followed = self._followed
+        if isinstance(followed, TcpConnection) and followed.identity is identity:
+            followed.ignore()
 
     def find(self, ends: FlowEnds) -> TcpConnection | None:
         """Return the connection between two ends; call this only with `across`.
@@ -355,6 +363,7 @@ class TcpReassembler:
             connection = self._open(segment, ts_ns, from_lower)
             self._connections[key] = connection
         self._connections.move_to_end(key)
+        self._followed = connection
         origin = self._origin() if segment.payload else None
         holds_bytes = connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
         if holds_bytes and isinstance(connection, TcpConnection):

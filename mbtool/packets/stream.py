@@ -434,6 +434,16 @@ class Stream:
             self.held_bytes += sum(len(part.data) for part in merged)
         return differs
 
+    def skip_to(self, sequence: int, size: int) -> None:
+        """Treat `size` bytes from a sequence number on, and all before them, as delivered."""
+        if self.origin is None or self.joining:
+            self.begin(sequence)
+        self.position = max(self.position, self.position_of(sequence) + size)
+
+    def drop_held(self) -> None:
+        """Drop the bytes that wait for earlier ones."""
+        self.held, self.held_bytes = [], 0
+
     def release(self) -> HeldBytes:
         """Remove and return the bytes with the lowest position of those that wait."""
         piece = self.held.pop(0)

@@ -75,10 +75,10 @@ FEW_MISSES = 16
 FEWEST_MISSES = 4
 """A log with too little evidence counts at its end if at most so many runs of bytes are no frame:
 16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
-as most requests are, or several different ones."""
+as most requests are, or of 5, as exception responses are, or several different ones."""
 
 _MARKED = 2
-_REQUEST_SIZE = 8
+_USUAL_SIZES = (5, 8)
 _MIN_MBAP, _MIN_BARE = MBAP_BYTES + 1, 3
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
@@ -206,6 +206,8 @@ class TextFrames:
         self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
         self._is_network = False
         """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
+        self.is_modbus = False
+        """True once the log has shown that it has Modbus frames."""
         self._evidence = 0
         self._misses = 0
         self._has_marked = False
@@ -221,11 +223,6 @@ class TextFrames:
         """The number of frames that were shown without their CRC."""
         self.left_out = 0
         """The number of frames that were shown twice."""
-
-    @property
-    def is_modbus(self) -> bool:
-        """True once the log has shown that it has Modbus frames."""
-        return self._evidence >= ENOUGH
 
     def feed(
         self, choices: list[bytes], label: Label, ts_ns: int | None, row: int
@@ -262,7 +259,7 @@ class TextFrames:
         There are some only if nearly all bytes of the log were frames.
         """
         rtu = {one.raw for one in self._held if one.transport is Transport.RTU}
-        has_rtu = len(rtu) > 1 or any(len(one) == _REQUEST_SIZE for one in rtu)
+        has_rtu = len(rtu) > 1 or any(len(one) in _USUAL_SIZES for one in rtu)
         most = FEW_MISSES if self._has_marked else FEWEST_MISSES if has_rtu else 0
         if self.is_modbus or self._missed > most or not self._evidence:
             return []
@@ -368,21 +365,22 @@ class TextFrames:
         if direction is Direction.RESPONSE or self._pending is None:
             begun = None
         before, self._last = self._last, (frame, label.text)
-        is_pair = False
-        if direction is Direction.REQUEST:
-            self._pending = frame
-        elif self._pending is not None:
-            is_same = self._pending.transport is transport
-            is_pair = is_same and _answers(self._pending.raw, transport, raw)
-            self._pending = None
+        asked, self._pending = self._pending, frame if direction is Direction.REQUEST else None
         if not self.is_modbus:
+            is_pair = (
+                asked is not None
+                and direction is Direction.RESPONSE
+                and asked.transport is transport
+                and _answers(asked.raw, transport, raw)
+            )
             is_marked = label.mark is not None and label.mark.is_strong
             is_next = before is not None and _follows(before[0], frame)
             weight = _weight(transport, form, is_marked) + is_next
             self._has_marked |= weight >= _MARKED
             is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
             self._evidence += ENOUGH if is_pair and form and not is_echo else weight
-            if self._evidence < ENOUGH:
+            self.is_modbus = self._evidence >= ENOUGH
+            if not self.is_modbus:
                 self._held += [frame] if begun is None else [begun, frame]
                 return []
         return [frame] if begun is None else [begun, frame]

@@ -92,6 +92,8 @@ def _ascii_frame(text: bytes) -> bytes:
 
 
 def _long(text: bytes) -> bytes:
+    if text[:2] == b"0b" and not text[2:].strip(b"01"):
+        raise ValueError("a binary number")
     return _digits(text[2:] if text[1:2] in b"xX" else text)
 
 
@@ -117,6 +119,10 @@ NOTATIONS = (
             rb"|(?:_00)+|(?:\t00)+)" + _AFTER
         ),
         _digits,
+    ),
+    # 01.03.00.00.00.0A, at least five, as an IP address has four
+    Notation(
+        (b"00.00.00",), re.compile(_BEFORE + rb"00(?:\.00){4,}(?![0-9A-Za-z_]|\.0)"), _digits
     ),
     # 01h 03h, 01H,03H
     Notation(

@@ -263,7 +263,8 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
         return other.unit in cause.victims
     if cause.unit is None:
         return not cause.is_small or cause.count >= MOSTLY * other.count
-    is_of_unit = other.unit is None or other.unit == cause.unit
+    is_of_line = other.unit is None or other.words.noun == "line"
+    is_of_unit = is_of_line or other.unit == cause.unit
     return is_of_unit and cause.count >= MOSTLY * other.count
 
 

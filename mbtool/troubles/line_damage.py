@@ -20,9 +20,9 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   well; and there are more bytes than asked for, which neither noise nor lost
 #                   bytes make. Or nearly all of its answers are damaged, from their first bytes on
 #                   or with many different lengths, though it understands each request, which it
-#                   could not with a bad cable; or a second, whole response of the same form
-#                   follows the first with other bytes, and nothing that can be a damaged request
-#                   to the unit is between.
+#                   could not with a bad cable; or a second, whole response of the same form follows
+#                   the first with other bytes, and nothing that can be a damaged request to the
+#                   unit is between.
 # LINE-LOST-BYTES   Most damaged frames of a known length are too short.
 # LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
 #                   in the requests, or everywhere.
@@ -42,10 +42,11 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import percent
+from mbtool.core.wording import counted, percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import crc
+from mbtool.troubles.line_late import SHORTEST_TIMEOUT_NS
 from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
@@ -57,7 +58,8 @@ if TYPE_CHECKING:
 ENOUGH = 3
 ENOUGH_MERGED = 2
 FEW_MERGED = 0.1
-"""Two requests in one prove two masters if they are at least this share (0 to 1) of the damage."""
+"""Where two slaves may have one address, two requests in one prove two masters only if they are at
+least this share (0 to 1) of the damage."""
 FEW = 0.01
 """Fewer damaged frames than this share (0 to 1) of the transactions are a note."""
 MOSTLY = 0.8
@@ -84,6 +86,7 @@ POLLED = 2
 _HEAD, _TAIL = 4, 4
 _SHORTEST_REQUEST = 8
 _READS = frozenset((1, 2, 3, 4))
+_NOT_IN_TIME = frozenset((Outcome.NO_ANSWER, Outcome.LATE))
 _AROUND_VALUES = 5
 """Bytes of an answer to a read that are no values: unit, function, byte count and CRC."""
 
@@ -102,6 +105,9 @@ class _DamagedUnit:
     """The number of second responses to one request."""
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
+    in_wakes: int = 0
+    """The number of damaged frames after a request to another unit that was not answered in time,
+    and whose late answer may have done it."""
     asked: int = 0
     answered: int = 0
     latency_ns: int = 0
@@ -121,6 +127,8 @@ class _DamagedLine:
     """The last different requests, and how often each came."""
     units: dict[int, _DamagedUnit] = field(default_factory=dict)
     last: NamedTransaction | None = None
+    before: NamedTransaction | None = None
+    """The last transaction with another unit than the last one."""
     in_requests: int = 0
     short_requests: int = 0
     elsewhere: int = 0
@@ -169,7 +177,7 @@ class LineDamage(SortedSense):
         super().begin_capture()
         for line in self._lines.values():
             line.held.clear()
-            line.last = None
+            line.last = line.before = None
             for unit in line.units.values():
                 unit.last = None
 
@@ -193,7 +201,6 @@ class LineDamage(SortedSense):
             self._note_interrupted(line, one)
             self._note_request(line, one)
             unit.asked += 1
-        line.late += one.outcome is Outcome.LATE
         if one.response_ns is not None:
             line.responses.append(one.response_ns)
         if one.outcome is Outcome.UNSOLICITED:
@@ -203,6 +210,8 @@ class LineDamage(SortedSense):
             unit.last = one
             unit.latency_ns += one.latency_ns
         self._give(line)
+        if line.last is not None and line.last.unit != one.unit:
+            line.before = line.last
         line.last, line.odd = one, 0
 
     def _line(self, link: str) -> _DamagedLine | None:
@@ -223,9 +232,8 @@ class LineDamage(SortedSense):
         raw = event.raw
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
             return
-        polls = [one for one, count in line.requests.items() if count >= POLLED]
-        first = [one for one in polls if one[:_HEAD] == raw[:_HEAD]]
-        last = [one for one in polls if one[-_TAIL:] == raw[-_TAIL:]]
+        first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
+        last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
         if any(one != other for one in first for other in last):
             line.merged += 1
             keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
@@ -236,9 +244,13 @@ class LineDamage(SortedSense):
         if last is None or last.request_ns is None or one.request_ns is None:
             return
         waited_ns = one.request_ns - last.request_ns
-        if last.outcome in (Outcome.NO_ANSWER, Outcome.LATE):
+        is_late, is_given_up = last.outcome is Outcome.LATE, waited_ns >= SHORTEST_TIMEOUT_NS
+        if last.outcome in _NOT_IN_TIME:
             line.waits.append(waited_ns)
-        if last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
+            line.late += is_late and is_given_up
+        else:
+            return
+        if last.unit == one.unit or (is_late and is_given_up):
             return
         if any(last.request_ns < at_ns < one.request_ns for at_ns in line.responses):
             return  # A late answer, which the master took for the one that it waited for.
@@ -268,9 +280,12 @@ class LineDamage(SortedSense):
                 line.short_requests += len(event.raw) < len(request)
                 keep(line.cases, Evidence.of_event(event))
         unit = line.unit(last.unit)
+        before = line.before
+        if before is not None and before.outcome in _NOT_IN_TIME:
+            unit.in_wakes += bool(answer)
         if last.outcome is not Outcome.NO_ANSWER:
             line.elsewhere += len(answer)
-            unit.after += last.outcome is Outcome.OK
+            unit.after += len(answer) if last.outcome is Outcome.OK else 0
             for event in answer:
                 keep(line.cases, Evidence.of_event(event))
         elif answer:
@@ -307,22 +322,25 @@ class LineDamage(SortedSense):
 
 
 def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
+    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
-    is_proved = line.is_told or line.merged >= max(ENOUGH_MERGED, FEW_MERGED * line.damaged)
-    if is_proved or collisions >= max(ENOUGH, line.late):
+    merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
+    is_told = line.is_told and not doubles
+    is_proved = is_told or (line.merged >= ENOUGH_MERGED and merged)
+    if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
             sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,
             evidence=tuple(line.masters_cases),
         )  # fmt: skip
         return
-    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     for number in doubles:
         unit = line.units[number]
         count = max(unit.seconds, unit.damaged, unit.after)
         yield Trouble(
             code="LINE-SAME-UNIT", link=link, unit=number, count=count,
             of=max(unit.asked, count), weight=count, victims=tuple(line.units),
+            figures={"how": _how_double(unit)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -350,6 +368,18 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     )
 
 
+def _how_double(unit: _DamagedUnit) -> str:
+    """Say what shows that two slaves answer."""
+    told = []
+    if unit.seconds:
+        told.append(f"{counted(unit.seconds, 'second answer', ',')} with other values")
+    if unit.longer:
+        told.append(f"{unit.longer:,} with more bytes than asked for")
+    if unit.after:
+        told.append(f"{unit.after:,} with damaged bytes right behind")
+    return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
+
+
 def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit."""
     if unit.seconds >= ENOUGH:
@@ -357,6 +387,8 @@ def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds
     if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):
+        return False
+    if unit.in_wakes >= OTHER_LENGTH * collided:
         return False
     if unit.longer + unit.after + unit.seconds >= EXTRA * collided:
         return True

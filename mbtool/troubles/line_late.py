@@ -7,7 +7,8 @@
 # too, though its late answers may collide with the next request, so that nobody can read them. So
 # is a unit that answers some requests in time, where damage comes after its requests without an
 # answer: in the time-out behind the one that the master waited (a wake), and hardly elsewhere. Its
-# late answers collide with what the master asks then.
+# late answers collide with what the master asks then. A unit that answers none in time may as well
+# be dead, so it is late only if other requests fail in most of its wakes.
 #
 # False alarms: where a request is damaged, its answer may be taken for a late one to the request
 # before. So a response right behind damaged bytes is no late one. And if there are many damaged
@@ -40,6 +41,9 @@ ENOUGH = 3
 """Fewer late answers of a unit than this are no trouble."""
 FEW = 0.01
 """Late answers to a smaller share (0 to 1) of the requests than this are a note."""
+SHORTEST_TIMEOUT_NS = 100_000_000
+"""No master gives a request up sooner (ns); what comes sooner is of another master, or the
+recording lacks the answer."""
 MAX_UNITS = 500
 TIMES = 200
 RECENT = 64
@@ -47,6 +51,9 @@ PACE = 1.1
 """A master that waits for a time-out waits at least this many times as long as for answers."""
 OFTEN = 0.5
 MOSTLY = 0.8
+ITS_OWN = 0.7
+"""A unit's late answers damage frames if at least this share (0 to 1) of the damage is in its
+wakes."""
 NEAR = 0.85
 """Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
 
@@ -68,6 +75,8 @@ class _LateUnit:
     wakes_ns: int = 0
     """How long all wakes took."""
     damaged_wakes: int = 0
+    spoilt_wakes: int = 0
+    """The number of damaged wakes in which another unit's request failed."""
     damage: int = 0
     """The number of damaged frames in wakes."""
 
@@ -79,6 +88,8 @@ class _Wake:
     unit: _LateUnit
     end_ns: int
     is_damaged: bool = False
+    has_failed: bool = False
+    """True if a request of another unit got no answer in it."""
 
 
 @dataclass(slots=True)
@@ -135,6 +146,7 @@ class LateOnLine(SortedSense):
         for wake in line.wakes:
             wake.unit.damage += 1
             wake.unit.damaged_wakes += not wake.is_damaged
+            wake.unit.spoilt_wakes += not wake.is_damaged and wake.has_failed
             wake.is_damaged = True
 
     def take_transaction(self, one: NamedTransaction) -> None:
@@ -144,6 +156,9 @@ class LateOnLine(SortedSense):
         line.begin_ns = one.request_ns if line.begin_ns is None else line.begin_ns
         line.end_ns = one.request_ns
         self._note_wait(line, one)
+        if one.outcome is Outcome.NO_ANSWER:
+            for wake in line.wakes:
+                wake.has_failed |= wake.unit is not self._unit(one)
         line.requests.append(one.request_ns)
         line.units.add(one.unit)
         if one.outcome is Outcome.LATE:
@@ -217,10 +232,12 @@ def _of_unit(
     is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
     if is_noisy and not _is_waited_for(unit):
         return
+    if unit.waits and median(unit.waits) < SHORTEST_TIMEOUT_NS:
+        return
     if unit.count >= ENOUGH:
         yield _trouble(link, number, unit, tally.requests)
         return
-    if _disturbs(unit, line) and tally.latency.count >= ENOUGH:
+    if _disturbs(unit, line, is_dead=tally.latency.count < ENOUGH):
         wait = _s(median(unit.waits))
         yield Trouble(
             code="LINE-LATE",
@@ -229,7 +246,7 @@ def _of_unit(
             count=max(unit.missing, unit.damage),
             of=tally.requests,
             weight=unit.missing,
-            figures={"latency": f"after more than {wait}", "timeout": wait,
+            figures={"latency": f"more than {wait}", "timeout": wait,
                      "longest": "its longest answer"},
             sureness=Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
@@ -239,6 +256,8 @@ def _of_unit(
         return
     wait_ns = min(unit.waits)
     slowest_ns = tally.latency.percentile(95)
+    if wait_ns < SHORTEST_TIMEOUT_NS:
+        return
     if NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
         yield Trouble(
             code="LINE-LATE",
@@ -248,7 +267,7 @@ def _of_unit(
             of=tally.requests,
             weight=unit.missing,
             figures={
-                "latency": f"after up to {_s(slowest_ns)}",
+                "latency": f"up to {_s(slowest_ns)}",
                 "timeout": _s(wait_ns),
                 "longest": _s(2 * wait_ns),
             },
@@ -278,12 +297,15 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
     keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
 
 
-def _disturbs(unit: _LateUnit, line: _LateLine) -> bool:
-    """True if damage comes in the wakes of a unit, and hardly elsewhere."""
+def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
+    """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
+    answers in time (`is_dead`), another request must fail in most wakes.
+    """
+    wakes, often = (unit.spoilt_wakes, MOSTLY) if is_dead else (unit.damaged_wakes, OFTEN)
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        unit.damaged_wakes >= max(ENOUGH, OFTEN * unit.wakes)
-        and unit.damage >= MOSTLY * line.damaged
+        wakes >= max(ENOUGH, often * unit.wakes)
+        and unit.damage >= ITS_OWN * line.damaged
         and unit.wakes_ns <= OFTEN * watched_ns
     )
 
@@ -300,7 +322,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         of=max(requests, count),
         weight=count,
         is_small=count < FEW * requests,
-        figures={"latency": f"after {_s(latency_ns)}", "timeout": waits, "longest": _s(longest_ns)},
+        figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
         evidence=tuple(late.cases),
     )
 

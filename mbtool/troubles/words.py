@@ -68,7 +68,7 @@ _ROWS = (
     ),
     Words(
         "LINE-SAME-UNIT", _E,
-        "two slaves answer as {who}: {count} of {of} answers collide or come twice",
+        "two slaves answer as {who}: {count} of {of} answers collide or come twice ({how})",
         "give one of them another address; to find it, take them off the line one by one",
         "unit", "two slaves with this address",
         ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", *_BLAMED,
@@ -76,8 +76,8 @@ _ROWS = (
     ),
     Words(
         "LINE-LATE", _E,
-        "{who} answers {latency}, the master waits {timeout}: {count} of {of} answers come too "
-        "late",
+        "{who} answers {latency} after the request, the master waits {timeout}: {count} of {of} "
+        "answers come too late",
         "raise the master's time-out above {longest}, or ask for less in one request",
         "unit", "{count} answers after the time-out",
         ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
@@ -100,10 +100,8 @@ _ROWS = (
     ),
     Words(
         "LINE-BIAS", _W,
-        "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: the idle line "
-        "floats, or a driver switches too early or late",
-        "fit bias resistors at one place and termination at both ends of the line; if it is beside "
-        "frames of one sender only, look at how its driver is switched",
+        "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: {why}",
+        "{remedy}",
         "line", "stray {byte}",
         ("RTU-202", "RTU-103", "RTU-104", "LINE-NOISE", "LINE-LOST-BYTES"),
     ),

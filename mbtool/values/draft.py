@@ -22,7 +22,7 @@ from mbtool.core.wording import counted
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
-from mbtool.devices.references import write_reference
+from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.validation import validate
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.tables import Table
@@ -41,14 +41,6 @@ MAX_LISTED = 24
 _NO_FUNCTION = ExceptionCode.ILLEGAL_FUNCTION
 _WRONG_VALUE = ExceptionCode.ILLEGAL_DATA_VALUE
 _REFUSALS = frozenset((_NO_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS, _WRONG_VALUE))
-_PREFIXES = {
-    Table.COILS: "C",
-    Table.DISCRETE_INPUTS: "DI",
-    Table.HOLDING_REGISTERS: "HR",
-    Table.INPUT_REGISTERS: "IR",
-}
-"""For each table, the letters before the address in the names of drafted areas and points: HR10."""
-
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
 """Bits of an address's flags: a request read the address; a request wrote it; no request for it had
 a response."""
@@ -159,7 +151,7 @@ def _areas(
         for request, replies in seen.requests.items()
         if request.table is table and not replies.ok and replies.exceptions
     ]
-    prefix = _PREFIXES[table]
+    prefix = SHORT_WORDS[table]
     for first, last in _runs(flags):
         of_area = flags[first : last + 1]
         written = any(flag & _WRITTEN for flag in of_area)
@@ -344,7 +336,7 @@ def _points(
 def _point(one: Judged) -> Point:
     is_text = one.reading.type is PointType.STRING
     return Point(
-        name=f"{_PREFIXES[one.table]}{one.address}",
+        name=f"{SHORT_WORDS[one.table]}{one.address}",
         table=one.table,
         address=one.address,
         type=one.reading.type,

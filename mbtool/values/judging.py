@@ -31,6 +31,7 @@ from mbtool.values.number_costs import (
     IMPOSSIBLE,
     changes_cost,
     clipped_gain,
+    few_decimals,
     flags_cost,
     float_cost,
     noise_cost,
@@ -62,6 +63,9 @@ ASKED_ALONE = 7.0
 """How much cheaper, in bits, a value of several registers is if a request asks for just these."""
 CLOCK = 24.0
 """The cost in bits of the seconds since 1970, by the recording's own time to within a day."""
+_FEWEST_DIGITS = 8
+ASKED_SINGLY = 8.0
+"""The cost in bits of each register of a value that a request asks for by itself."""
 COUNTS_FROM_BELOW = 6.0
 """The cost in bits of a negative number that only counts up: it is rather a counter."""
 _ORDERS = {Order.ABCD: 0.45, Order.CDAB: 0.35, Order.BADC: 0.1, Order.DCBA: 0.1}
@@ -83,6 +87,8 @@ class WordHistory(NamedTuple):
     """Number of answers (or writes) that had these registers; 0 if it is that of the rows."""
     is_written: bool = False
     """True if a master writes them; False if it reads them."""
+    is_asked: bool = True
+    """False if the range is put together, and no request asks for just it."""
 
     @property
     def stop(self) -> int:
@@ -150,7 +156,13 @@ class _Range:
         cost = sum(
             ACROSS_A_REQUEST * bool(self._edges[edge]) for edge in range(first + 1, first + words)
         )
-        return cost - ASKED_ALONE * self.is_alone(at, words)
+        singles = sum(self.is_alone(at + word, 1) for word in range(words))
+        return cost + ASKED_SINGLY * singles - ASKED_ALONE * self.is_alone(at, words)
+
+    def is_divided(self) -> bool:
+        """True if a request asks for four registers, which are not one number."""
+        is_four = len(self.span) == 4 and self.is_alone(0, 4)
+        return is_four and len(self.division.parts) > 1
 
     def is_alone(self, at: int, words: int) -> bool:
         """True if a request is for just these registers."""
@@ -326,7 +338,7 @@ def _ranges(histories: Sequence[WordHistory]) -> list[_Range]:
     alone: dict[Table, set[range]] = {}
     for one in histories:
         edges.setdefault(one.table, Counter()).update((one.first, one.stop))
-        if one.stop - one.first > 1:
+        if one.is_asked:
             alone.setdefault(one.table, set()).add(range(one.first, one.stop))
     in_order = sorted(
         histories,
@@ -379,6 +391,7 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
             if not is_signed and min(numbers, default=0) >= 0:
                 reading = WordReading(_SIGNED.get(reading.type, reading.type), reading.order)
             role = role_of(numbers, one.times_ns, reading)
+        is_in_doubt = is_in_doubt or _is_in_doubt(reading, numbers, is_divided=one.is_divided())
         reason = reason_for(
             reading,
             columns,
@@ -399,6 +412,18 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
             reason=reason,
         )
         before = reading
+
+
+def _is_in_doubt(reading: WordReading, numbers: Sequence[float], *, is_divided: bool) -> bool:
+    """True if numbers are too few, or of a kind too rare, to be sure of them.
+
+    With `is_divided`, a request asked for just these registers and others, as if they were one.
+    """
+    if reading.type in (PointType.BCD16, PointType.BCD32):
+        return len(set(numbers)) < _FEWEST_DIGITS
+    if reading.type in (PointType.FLOAT32, PointType.FLOAT64) and len(set(numbers)) == 1:
+        return is_divided or few_decimals(numbers, 16 * reading.words) is None
+    return False
 
 
 def _type_share(candidate: Candidate, reading: WordReading) -> float:

@@ -28,13 +28,18 @@ MAGNITUDES = (1e-4, 1e9)
 IMPOSSIBLE = math.inf
 """The cost in bits of what no device does."""
 MOST_DECIMALS = 5
+_FEW_OF_32_BITS, _FEW_OF_64_BITS = 2_000_000, 1e14
+"""A float with few decimals is, without its point, less than this."""
 _BEYOND_COUNTING = 30.0
 """The extra cost of a number that nothing measured or counted is."""
+_HUGE = 6.0
+"""The extra cost of a number of 32 bits that uses them nearly all: it is rather a float."""
 _FEWEST_FLIPS = 3
 _RARE = 4
 """So many of the dearest changes of a series count in full."""
 _CHEAP = 8.0
 """The bits of a series for which no cheaper code is looked for."""
+_MOST_STATES = 8
 _HIT = 12.0
 _WIDE_NOISE = 13
 """A number of 16 bits seldom changes by 2^12 or more most of the time."""
@@ -43,7 +48,9 @@ _WIDE_NOISE = 13
 def whole_cost(number: int, bits: int) -> float:
     """The cost of a whole number of this many bits: small ones are more frequent."""
     cost = math.log2(abs(number) + 1) + math.log2(bits * 0.6931) + (bits > 16 or number < 0)
-    return cost + (_BEYOND_COUNTING if abs(number) > 1 << 53 else 0)
+    if abs(number) >> 53:
+        return cost + _BEYOND_COUNTING
+    return cost + (_HUGE if bits == 32 and abs(number) >> 28 else 0)
 
 
 def changes_cost(numbers: Sequence[int], bits: int) -> float:
@@ -53,7 +60,13 @@ def changes_cost(numbers: Sequence[int], bits: int) -> float:
         return cost
     # A number that goes on as before is known by the changes of its changes.
     further = [after - before for before, after in pairwise(numbers)]
-    return min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
+    cost = min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
+    states = set(numbers)
+    if len(states) <= _MOST_STATES and len(states) * 3 <= len(numbers):
+        # A number that has only a few values is known by them.
+        news = sum(whole_cost(one, bits) for one in states) - whole_cost(numbers[0], bits)
+        cost = min(cost, news + math.log2(len(states)) * min(len(numbers), INDEPENDENT))
+    return cost
 
 
 def _steps_cost(numbers: Sequence[int], bits: int) -> float:
@@ -154,8 +167,15 @@ def ordered_bits(numbers: Sequence[float], bits: int) -> list[int]:
 
 
 def few_decimals(numbers: Sequence[float], bits: int) -> int | None:
-    """The number of decimals that all the floats have; None if they have more than a few."""
+    """The number of decimals that all the floats have; None if they have more than a few.
+
+    Every float of 32 bits has few decimals if it is large enough, which says nothing.
+    """
+    most = _FEW_OF_32_BITS if bits == 32 else _FEW_OF_64_BITS
+    greatest = max(map(abs, numbers))
     for decimals in range(MOST_DECIMALS + 1):
+        if greatest * 10**decimals >= most:
+            return None
         if all(_has_decimals(number, decimals, bits) for number in numbers):
             return decimals
     return None

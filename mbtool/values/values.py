@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from mbtool.devices.references import write_reference
 from mbtool.ledger.answered_reads import ValueChanges
@@ -41,6 +41,15 @@ class SeriesKey(NamedTuple):
     unit: int
     name: str
     """The name of the point; for a register, its reference, such as `holding 12`."""
+
+
+class RequestedSpan(NamedTuple):
+    """The addresses that a request reads or writes."""
+
+    link: str
+    unit: int
+    table: Table
+    span: range
 
 
 class _FollowedPoll:
@@ -75,6 +84,20 @@ class Values:
         MAX_OF_POLL; MAX_LEFT_OUT stands for this number and more.
         """
         return len(self._left_out - self.series.keys())
+
+    @property
+    def requests(self) -> list[RequestedSpan]:
+        """The ranges that requests have read or written."""
+        spans = []
+        for link, unit, code, address, quantity, _ in self._polls:
+            function = FUNCTIONS.get(cast("int", code))
+            if function is not None and function.table is not None and address is not None:
+                first = cast("int", address)
+                span = range(first, first + max(cast("int", quantity or 1), 1))
+                spans.append(
+                    RequestedSpan(cast("str", link), cast("int", unit), function.table, span)
+                )
+        return spans
 
     def add(self, one: NamedTransaction) -> None:
         function = FUNCTIONS.get(one.function)

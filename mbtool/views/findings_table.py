@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from mbtool.core.wording import clock_time, counted, day
+from mbtool.core.wording import counted, moment
 from mbtool.devices.checking.rules import Severity
 from mbtool.troubles.broken_rules import where
 from mbtool.views.tables import printable
@@ -91,4 +91,4 @@ def finding_line(finding: Finding) -> Text:
 
 
 def _time(finding: Finding) -> str:
-    return f"{day(finding.ts_ns)} {clock_time(finding.ts_ns)}"
+    return moment(finding.ts_ns)

@@ -20,6 +20,8 @@ from mbtool.ledger.account import MAX_POLLS, Account
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
+from mbtool.values.guessed_series import guessed_name
+from mbtool.watching.guessed_points import GuessedPoints, number_of
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.modbus import Table
     from mbtool.troubles.judge import Judgement
+    from mbtool.values.judging import Judged
     from mbtool.watching.watched_rows import Record
 
 MAX_KEPT = 10_000
@@ -101,6 +104,8 @@ class Board:
         which they were first sent. The one that was sent last is at the end."""
         self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
+        self.guesses: GuessedPoints | None = GuessedPoints()
+        """The registers that are surely one number; None to show words."""
         self.left_out = 0
         self.judgement: Judgement | None = None
         """What is wrong, as it was last judged; None before that, and on a board for a filter."""
@@ -269,8 +274,17 @@ class Board:
         at_ns: int,
         written: bool,
     ) -> None:
+        guesses = None if written or table.is_bits else self.guesses
+        if guesses is not None:
+            for new in guesses.learn(one.link, one.unit, table, first, values, at_ns):
+                for address in range(new.address, new.address + new.words):
+                    self.points.pop((one.link, one.unit, table, address), None)
         for address, value in enumerate(values, first):
             key = one.link, one.unit, table, address
+            guess = None if guesses is None else guesses.at(*key)
+            if guess is not None:
+                self._note_guess(poll, one, guess, first, values, at_ns)
+                continue
             row = self.points.get(key)
             if row is None:
                 if len(self.points) >= MAX_POINTS:
@@ -281,6 +295,32 @@ class Board:
                 continue
             _take_over(row, poll)
             row.set(value, str(value), at_ns, written=written)
+
+    def _note_guess(
+        self,
+        poll: WatchedPoll,
+        one: NamedTransaction,
+        guess: Judged,
+        first: int,
+        values: Sequence[int],
+        at_ns: int,
+    ) -> None:
+        """Note the number of several registers whose type is guessed, if all of them were read."""
+        words = values[guess.address - first :][: guess.words] if guess.address >= first else ()
+        number = number_of(guess, words) if len(words) == guess.words else None
+        if number is None:
+            return
+        key = one.link, one.unit, guess.table, guess.address
+        row = self.points.get(key)
+        if row is None:
+            if len(self.points) >= MAX_POINTS:
+                self.left_out += 1
+                return
+            row = self.points[key] = WatchedPoint(
+                one.link, one.unit, one.device, guessed_name(guess), "", None, None, poll
+            )
+        _take_over(row, poll)
+        row.set(number, str(int(number)) if number == int(number) else f"{number:.7g}", at_ns)
 
     def _raw_point(
         self, poll: WatchedPoll, one: NamedTransaction, table: Table, address: int

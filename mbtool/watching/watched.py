@@ -50,6 +50,7 @@ class Watched:
         """
         self._format_of, self._profile_for, self._kept = format_of, profile_for, kept
         self._context = context or CaptureContext(line_of=format_of)
+        self._guesses = True
         self.wanted: Wanted | None = None
         """The user's filter; None if every record passes."""
         self._order = self._numbers = 0
@@ -63,6 +64,11 @@ class Watched:
         kept."""
         self.marked: dict[int, KeptRecord] = {}
         """The records that the user marked, by their `order` (number among all records)."""
+
+    def show_words(self) -> None:
+        """Show the words of registers, and guess no types. Call it before the first record."""
+        self._guesses = False
+        self.whole.guesses = None
 
     def add(self, record: Record) -> None:
         """Take the next record: a transaction or an event."""
@@ -143,7 +149,10 @@ class Watched:
         return True
 
     def _board(self, whole: Board | None = None) -> Board:
-        return Board(self._format_of, self._profile_for, kept=self._kept, whole=whole)
+        board = Board(self._format_of, self._profile_for, kept=self._kept, whole=whole)
+        if not self._guesses:
+            board.guesses = None
+        return board
 
     def _add_filtered(self, board: Board, kept: KeptRecord) -> None:
         """Add a record to the filter's board if it passes the filter.

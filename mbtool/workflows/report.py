@@ -20,6 +20,7 @@ from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.troubles.broken_rules import Summaries
 from mbtool.troubles.polling import LATE_NS, late_units
+from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import Values
 from mbtool.version import __version__
 from mbtool.views.report.contents import (
@@ -96,6 +97,8 @@ class ReportRun:
         self.reading = self._check.reading
         self.account = self._check.ledger
         self._values = Values()
+        self.guesses = True
+        """True to show registers that are surely one number as that number."""
         self._rows = TransactionRows(everything=everything)
         self._findings = Summaries()
         self._number_of_findings = 0
@@ -134,6 +137,8 @@ class ReportRun:
         capture `against` cannot be read.
         """
         comparison = None if against is None else self._compared(against, on_remark)
+        if self.guesses:
+            self._values.series = with_guesses(self._values.series, self._values.requests)
         return page(encoded(report_document(self._contents(comparison))))
 
     @property

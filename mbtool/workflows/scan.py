@@ -15,6 +15,8 @@
 # A read without a right answer is repeated, as lines lose frames: _TRIES times in all, each after a
 # pause in which a late answer would come.
 #
+# Beside another master a block that is too long for its pauses is halved, too.
+#
 # Only functions 01 to 04, 08/00 and 2B/0E are sent. Nothing is written.
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.core.moments import SECOND_NS
+from mbtool.master.other_master import NoPauseError
 from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.identification import identities
@@ -190,7 +193,13 @@ class Scan:
             while at < addresses.stop:
                 limit = self._limits.get((unit, code), FUNCTIONS[code].limit)
                 size = min(limit, addresses.stop - at)
-                answer = self._read(unit, code, at, size)
+                try:
+                    answer = self._read(unit, code, at, size)
+                except NoPauseError:
+                    if size == 1:
+                        raise
+                    self._limits[unit, code] = size // 2
+                    continue
                 if answer == _ILLEGAL_VALUE and size > 1:
                     shorter = self._shorter(unit, code, at, size)
                     if shorter:

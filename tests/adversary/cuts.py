@@ -276,9 +276,12 @@ class WholeCapture:
             return None
         head = HEAD if record.transport is Transport.TCP else len(raw)
         at = -1
-        for _ in range(again[number, raw] + 1):
-            at = part.payload.find(raw, at + 1)
-        again[number, raw] += 1
+        if record.transport is Transport.TCP and len(raw) < 6 + int.from_bytes(raw[4:6]):
+            at = part.payload.rfind(raw)  # A cut ADU is the last one of its segment.
+        else:
+            for _ in range(again[number, raw] + 1):
+                at = part.payload.find(raw, at + 1)
+            again[number, raw] += 1
         if at < 0:
             sizes = range(len(raw) - 1, 0, -1)
             size = next((size for size in sizes if part.payload.startswith(raw[-size:])), None)
@@ -405,6 +408,7 @@ def main() -> None:
     parser.add_argument("--cuts", type=int, default=1000, help="how many cuts of each capture")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--plants", type=int, default=0, help="how many plants of each master")
+    parser.add_argument("--no-captures", action="store_true", help="cut the plants only")
     parser.add_argument("--show", type=int, default=0, help="show so many of each kind of error")
     options = parser.parse_args()
     columns = tuple(Cuts().counts())
@@ -421,7 +425,7 @@ def main() -> None:
                     ask, answer = (half and half.sequence for half in (told.ask, told.answer))
                     print(f"    {column}: {ask} {answer} {told.outcome} {told.number} {cut_}")
 
-    for path in options.files or captures():
+    for path in options.files or ([] if options.no_captures else captures()):
         name = str(path).rsplit("/", 1)[-1]
         show(name, WholeCapture(packets_of(path), name))
     for master in PLANTS if options.plants else ():

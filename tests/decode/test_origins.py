@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace as replace_adu
 
-from mbtool.core import EventKind, Origin, StreamPlace, WireEvent, parse_line
-from mbtool.decode.plain_stretch import plain_request
+from mbtool.core import Direction, EventKind, Origin, StreamPlace, WireEvent, parse_line
 from mbtool.decode.serial_origins import SerialOrigins
-from mbtool.modbus.adu import Skipped
+from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import pcap
 from tests.workflows.evidence import captured
@@ -123,6 +122,16 @@ def test_an_adu_in_three_reads_has_the_origin_of_its_first_or_last_byte(
         reads.note(0, origin and StreamPlace(0, None, origin))
     assert reads.held == 3
     before = Skipped(0, EventKind.SKIPPED, "noise", bytes(4))
-    adu = plain_request(bytes(7), 0)
+    adu = Adu(
+        start_ns=0,
+        end_ns=0,
+        transport=Transport.RTU,
+        direction=Direction.REQUEST,
+        direction_by=DirectionBy.PORT,
+        confidence=1.0,
+        unit=0,
+        pdu=bytes(4),
+        raw=bytes(7),
+    )
     assert reads.added_to([before, adu]) == [before, replace_adu(adu, origin=expected)]
     assert reads.held == 1

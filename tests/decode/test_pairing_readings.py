@@ -174,7 +174,7 @@ def test_the_response_of_a_request_that_the_capture_lacks_has_any_size_from_the_
 @pytest.mark.parametrize(("count", "found"), [(8, 1), (9, 0)])
 def test_lost_bytes_are_at_most_so_many_responses(count: int, found: int) -> None:
     of = reading(*(request(number) for number in range(1, count + 1)))
-    of.given_up = frozenset(range(1, count + 1))
+    of.given_up = set(range(1, count + 1))
     assert [run[1:] for run in lost_runs(of, 11 * count)] == [(0, count)] * found
 
 
@@ -272,7 +272,7 @@ def test_lost_responses_leave_the_requests_behind_them() -> None:
 AFTER_NS = 50 * MS
 
 
-def given_up(of: PairReading, now_ms: float, habits: MasterHabits | None = None) -> frozenset[int]:
+def given_up(of: PairReading, now_ms: float, habits: MasterHabits | None = None) -> set[int]:
     give_up_late([of], habits or MasterHabits(), int(now_ms * MS), lambda _: AFTER_NS)
     return of.given_up
 
@@ -303,7 +303,7 @@ def test_only_the_first_late_request_is_given_up_of_those_behind_each_other(
     is_pipelined: bool, expected: set[int]
 ) -> None:
     of = reading(request(1), request(2, is_pipelined=is_pipelined))
-    of.behind_others = frozenset({2})
+    of.behind_others = {2}
     assert given_up(of, 200) == expected
     # One that was sent while others waited waits from then on when those were given up.
     assert given_up(of, 250) == expected
@@ -334,7 +334,7 @@ def test_a_request_that_is_sent_again_was_given_up(
         give_up_repeated([other], again)
         assert not other.given_up
     behind = reading(request(1))
-    behind.behind_others = frozenset({1})
+    behind.behind_others = {1}
     give_up_repeated([behind], again)
     assert not behind.given_up
 

@@ -14,6 +14,7 @@ from tests.end_to_end.peers import SIZE, UNIT, libmodbus_server, pymodbus_server
 from tests.end_to_end.programs import mbtool, run_mbtool
 from tests.end_to_end.slaves_of_others import AREAS
 from tests.end_to_end.test_troubles_of_real_masters import RawSlave, heard
+from tests.end_to_end.test_watch_on_a_virtual_line import until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,6 +99,31 @@ def test_finds_the_units_of_a_line_and_writes_nothing(tmp_path: Path) -> None:
     asked = list(api.open(log))
     assert {one.function for one in asked} <= {1, 2, 3, 4, 8, 0x2B}
     assert len(asked) >= 8
+
+
+def test_a_capture_of_a_whole_scan_has_no_write(tmp_path: Path) -> None:
+    log = tmp_path / "scan.mcap"
+    with ExitStack() as stack:
+        target = stack.enter_context(slave_of_another("pymodbus-tcp")).removeprefix("tcp:")
+        tap = stack.enter_context(mbtool("sniff", f"tap:127.0.0.1:0={target}", "-w", str(log)))
+        port = tap.said.find(r"tap:127\.0\.0\.1:(\d+)=")[1]
+        scanned(f"tcp:127.0.0.1:{port}", "--units", str(UNIT), "--addresses", "0..999")
+        assert tap.interrupt() == 130, tap.said.text
+    asked = list(api.open(log))
+    assert len(asked) > 50
+    assert {one.function for one in asked} <= {1, 2, 3, 4, 8, 0x2B}
+
+
+def test_what_was_found_is_printed_also_if_the_line_is_lost(tmp_path: Path) -> None:
+    with api.line(ends=2) as line, RawSlave(line.ports[1], {2: 0.002}):
+        words = ("--units", "1..200", "--units-only", "--timeout", "0.05", "--format", "jsonl")
+        resumed = tmp_path / "kept"
+        program = mbtool("scan", line.link(0), *words, "--resume", str(resumed))
+        until(lambda: resumed.exists() and '"unit": 2' in resumed.read_text(), lambda: "")
+    with program:
+        assert program.wait() == 3
+    assert json.loads(program.printed.text)["unit"] == 2
+    assert program.said.text.count("\n") == 1
 
 
 def test_says_that_nobody_answers(tmp_path: Path) -> None:

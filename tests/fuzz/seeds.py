@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Packet
 from mbtool.logs import LogReader
+from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.packets.capture import read_capture
+from mbtool.packets.usb import USB_LINK_TYPES
+from tests.fuzz.targets import LINK_TYPES
+from tests.packets.building import ethernet, ipv4, udp
+from tests.packets.usb_captures import UsbCapture, setup
 from tests.sources.text_logs import FORMS, conversation
 
 if TYPE_CHECKING:
@@ -104,6 +109,14 @@ def _streams(name: str) -> Iterator[bytes]:
 
 
 def _packets(*names: str) -> Iterator[bytes]:
+    for link_type in sorted(USB_LINK_TYPES):
+        capture = UsbCapture(link_type)
+        capture.control(0, setup(0x40, 3, 0x4138))
+        capture.ask(1, rtu_adu(1, b"\3\0\0\0\1"), rtu_adu(1, b"\3\2\0\7"), b"\1\x60")
+        how = bytes((LINK_TYPES.index(link_type),))
+        yield b"".join(len(one.data).to_bytes(2) + how + one.data for one in capture.packets)
+    datagram = ethernet(ipv4(udp(50000, 502, mbap_adu(1, 1, b"\3\0\0\0\1")), protocol=17))
+    yield len(datagram).to_bytes(2) + b"\0" + datagram
     for name in names:
         with (CAPTURES / name).open("rb") as stream:
             read = list(read_capture(stream))[:MAX_PACKETS]

@@ -45,7 +45,6 @@ EXPLAINED_VECTORS = {
 
 PORTS = {
     "port10502_stepping0.pcap": {"ports": [10502]},
-    "rtu_over_tcp_brainchild.pcap": {"rtu_ports": [502]},
     "rtu_over_tcp_flowmeter.pcap": {"rtu_ports": [8899]},
 }
 LINE = "rtu@9600-8N1"

@@ -64,6 +64,34 @@ def test_the_beginning_of_a_joined_stream_is_decided_after_a_while() -> None:
     assert words_of(reassembler.advance(_MS + PATIENCE_NS)) == [">ask"]
 
 
+def test_bytes_behind_those_that_a_joined_connection_acknowledged_are_missing() -> None:
+    talk = Talk()
+    packets = [talk.request(b"ask")]
+    talk.response(b"lost")
+    packets += [talk.response(b"tell"), *(talk.request(b"again") for _ in range(4))]
+
+    gaps = [item for item in run_packets(packets) if isinstance(item, StreamGap)]
+
+    assert [(gap.direction, gap.missing) for gap in gaps] == [(Direction.RESPONSE, 4)]
+
+
+def test_a_handshake_without_its_second_segment_tells_where_the_slave_begins() -> None:
+    talk = Talk()
+    syn, _, third = talk.handshake()
+    packets = [syn, third]
+    talk.request(b"ask")
+    talk.response(b"lost")
+    packets += [talk.request(b"again"), talk.response(b"tell")]
+    packets += [talk.request(b"more") for _ in range(4)]
+
+    gaps = [item for item in run_packets(packets) if isinstance(item, StreamGap)]
+
+    assert {(gap.direction, gap.missing) for gap in gaps} == {
+        (Direction.REQUEST, 3),
+        (Direction.RESPONSE, 4),
+    }
+
+
 @pytest.mark.parametrize("place", [0, 1, 2, 3, 4])
 def test_a_syn_that_the_capture_put_behind_bytes_opens_nothing(place: int) -> None:
     talk = Talk()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import fcntl
 import json
 import re
+import shutil
 import signal
 import struct
 import subprocess
@@ -19,8 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Chunk, SerialFormat
 from mbtool.core.serial_format import ModemLine, ModemLines
+from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.logs import LogReader
 from mbtool.ports.posix_serial import PosixPort
+from mbtool.sources.files import open_capture
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -223,6 +226,35 @@ def names() -> Iterator[str]:
         yield "the table is wider than 80 columns"  # 20 more are orders for the terminal.
 
 
+def usb_capture() -> Iterator[str]:
+    """(h) The bytes in a capture of usbmon are those that a listener at the same port reads."""
+    if shutil.which("dumpcap") is None:
+        say("  not tried: it needs dumpcap")
+        return
+    out = Path(sys.argv[1])
+    capture, log = out / "usb.pcapng", out / "usb.mcap"
+    host("traffic", "usb", "on")
+    names = sorted(each.name for each in Path("/dev").glob("usbmon[1-9]"))
+    interfaces = [part for name in names for part in ("-i", name)]
+    with subprocess.Popen(["dumpcap", "-q", *interfaces, "-w", str(capture)]) as recorder:
+        mbtool("sniff", f"rtu:{FTDI}@{FORMAT}", "--duration", "20", "-w", str(log))
+        recorder.send_signal(signal.SIGINT)
+    host("traffic", "usb", "off")
+    adapters = UsbAdapters()
+    with open_capture(capture) as packets:
+        pieces = [one for packet in packets.packets() for one in adapters.feed(packet)]
+    heard = b"".join(one.data for one in pieces if isinstance(one, Chunk))
+    with LogReader.open(log) as reader:
+        read = b"".join(one.data for one in reader.evidence() if isinstance(one, Chunk))
+    say(f"  {len(heard)} bytes in the capture, {len(read)} read at the port")
+    # The capture has bytes from before the listener began to read, and may have some from after.
+    if len(read) < 500 or read not in heard:
+        yield "the bytes of the capture are others"
+    settings = {str(one.format) for one in adapters.lines()}
+    if settings != {str(FORMAT)}:
+        yield f"the settings in the capture are {settings}"
+
+
 def _await(lines: Any, word: str) -> None:
     for line in lines:
         say(f"  {line.rstrip()}")
@@ -244,6 +276,7 @@ CHECKS: dict[str, Callable[[], Iterator[str]]] = {
     "refusals": refusals,
     "names": names,
     "pulls": pulls,
+    "usb-capture": usb_capture,
 }
 
 

@@ -144,7 +144,7 @@ def test_latency_is_the_time_between_two_lines(tmp_path: Path, form: str) -> Non
     path = tmp_path / "log.txt"
     path.write_text(FORMS[form](conversation()))
     latencies = {one.latency_ns for one in _read(path) if one.latency_ns is not None}
-    in_seconds = form in ("esphome", "go_client", "gateway", "syslog", "powershell")
+    in_seconds = form in ("esphome", "go_client", "gateway", "syslog", "powershell", "dotted")
     assert latencies == {0 if in_seconds else 57_000_000}
 
 
@@ -384,6 +384,7 @@ def test_a_table_of_times_and_whole_frames_is_a_text_log(tmp_path: Path) -> None
         "Connected\n[01][03][00][00][00][01][84][0A]\nERROR Bad file descriptor\n",
         "0000 | 01 03 02 00 07 f9 86 | ...\nnext\n0000 | 01 03 02 00 08 b9 82 | ...\n",
         "Transport - TX: 1, 3, 0, 22, 0, 2, 37, 207\n",
+        "".join(f"[V]: Read 0b{byte:08b} (0x{byte:02X})\n" for byte in b"\x01\x83\x02\xc0\xf1"),
         "<< writing 01 03 00 00 00 01 84 0A to COM4\ngot (00 01 03 02 00 07)\n",
     ],
 )

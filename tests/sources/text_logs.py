@@ -412,6 +412,15 @@ def dashed(said: Sequence[Said]) -> str:
     )
 
 
+def dotted(said: Sequence[Said]) -> str:
+    """Bytes between dots, with their number behind them."""
+    return "\n".join(
+        f"[{one.time:%H:%M:%S}][V][modbus:199]: Modbus {'write' if one.is_request else 'read'}: "
+        f"{_upper(one.data).replace(' ', '.')} ({len(one.data)})"
+        for one in said
+    )
+
+
 def piped(said: Sequence[Said]) -> str:
     """A dump whose offset and characters are behind bars."""
     lines = []
@@ -428,13 +437,13 @@ _FORMS: tuple[Callable[[Sequence[Said]], str], ...] = (
     poll_window, bus_monitor, arrows, tasmota, gateway, node, docklight, terminal, irp, per_byte,
     headed, socat, system_calls, hexdump, xxd, samples, table, python_bytes, decimals, kernel,
     device, container, syslog, powershell, listed, dashed,
-    piped,
+    dotted, piped,
 )  # fmt: skip
 FORMS = {each.__name__: each for each in _FORMS}
 TIMED = {
     "pymodbus", "pymodbus_pieces", "esphome", "go_client", "bus_monitor", "tasmota", "gateway",
     "docklight", "irp", "headed", "socat", "system_calls", "table", "kernel", "device",
-    "container", "syslog", "powershell", "dashed", "piped",
+    "container", "syslog", "powershell", "dashed", "dotted", "piped",
 }  # fmt: skip
 """The forms that have times."""
 BY_WORD = set(FORMS) - {"terminal", "hexdump", "xxd"}

@@ -187,3 +187,14 @@ def test_every_register_is_in_one_value(
     assert places == sorted(asked)
     assert all(one.reason and 0 <= one.likelihood <= 1 for one in found)
     assert not any(math.isnan(one.likelihood) for one in found)
+
+
+def test_a_register_that_alternates_between_two_numbers_is_no_bcd() -> None:
+    (one,) = judged(*([0x0064 if at % 2 else 0x0258] for at in range(20)))
+    assert one.reading.type is PointType.UINT16
+
+
+def test_one_constant_float_of_many_digits_is_never_sure() -> None:
+    # It may be a half of a number of 64 bits.
+    found = judged([0xC51F, 0xD117, 0xB2FB, 0xB64E], [0xC51F, 0xD117, 0xB2FB, 0xB64E])
+    assert not any(one.is_sure for one in found)

@@ -11,6 +11,8 @@ import pytest
 from mbtool.core import parse_line
 from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.values.draft import draft_profile
+from mbtool.values.histories import histories_of
+from mbtool.values.judging import judge
 from mbtool.values.sightings import parse_seen, wanted_of
 from mbtool.workflows.find import Finder
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
@@ -83,3 +85,25 @@ def test_the_numbers_that_the_inverter_told_are_found(
         ranks.append(addresses.index(SHOWN[name]) + 1 if SHOWN[name] in addresses else 99)
     assert sum(rank == 1 for rank in ranks) >= 20
     assert sum(rank <= 3 for rank in ranks) >= (26 if order != "mixed" else 25)
+
+
+PLC4X = {
+    3: (PointType.UINT32, 2), 5: (PointType.UINT64, 4), 13: (PointType.INT32, 2),
+    15: (PointType.UINT32, 2), 17: (PointType.INT64, 4), 21: (PointType.UINT64, 4),
+    25: (PointType.FLOAT32, 2), 27: (PointType.FLOAT64, 4),
+}  # fmt: skip
+"""What holding registers of PLC4X's manual test hold, by its public source."""
+
+
+def test_nothing_is_sure_that_the_map_of_the_test_plc_contradicts(public_captures: Path) -> None:
+    slaves = ObservedSlaves(with_values=True)
+    capture = public_captures / "apache__plc4x" / "modbus__tcp__manual-test-capture.pcapng"
+    slaves.add(Reading([str(capture)], ReadingOptions()).records())
+    inside = {
+        at: first for first, (_, words) in PLC4X.items() for at in range(first, first + words)
+    }
+    for one in judge(histories_of(slaves.only("--unit"))):
+        if one.is_sure and one.address in inside:
+            type_, words = PLC4X[inside[one.address]]
+            assert (inside[one.address], one.words) == (one.address, words), one
+            assert one.reading.type in (type_, PointType("u" + type_) if type_[0] == "i" else type_)

@@ -9,6 +9,7 @@ import pytest
 from mbtool.core import Direction
 from mbtool.decode.transactions import Ends, no_answer, with_response
 from mbtool.devices import Assignments, Namer, builtin_profiles, load_profile
+from mbtool.master.other_master import NoPauseError
 from mbtool.modbus import Adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.modbus.tables import READS_OF_TABLE
@@ -253,3 +254,16 @@ def test_a_read_whose_answer_is_lost_is_repeated() -> None:
 
     found = areas_of(Units({7: answer}), 7, 999)
     assert [(one.first, one.last) for one in found] == [(0, 16), (93, 139)]
+
+
+def test_a_block_that_is_too_long_for_the_pauses_of_another_master_is_halved() -> None:
+    units = Units({7: registers({*range(17), *range(93, 140)})})
+
+    def ask(unit: int, pdu: bytes) -> NamedTransaction:
+        if pdu[0] in (1, 2, 3, 4) and int.from_bytes(pdu[3:5]) > 20:
+            raise NoPauseError("a request needs a pause of 412 ms")
+        return units.ask(unit, pdu)
+
+    work = Scan(ask, ScanState(link="line"), is_tcp=False)
+    list(work.registers(7, range(1000)))
+    assert [(one.first, one.last) for one in work.state.areas] == [(0, 16), (93, 139)]

@@ -53,7 +53,9 @@ const iso = (us) => {
 };
 const clock = (us) => iso(us).slice(11, 23);
 const day = (us) => iso(us).slice(0, 10);
-const moment = (us) => `${day(us)} ${clock(us)}`;
+/* Before 1980 no capture was made: such times are those of a clock that counts from 0. */
+const hasDate = (us) => us < 0 || us >= 315532800e6;
+const moment = (us) => (hasDate(us) ? `${day(us)} ${clock(us)}` : clock(us));
 const two = (whole, unit, rest, next) => `${whole} ${unit}${rest ? ` ${rest} ${next}` : ""}`;
 const span = (s) => {
   if (s < 1) return `${digits(s * 1000)} ms`;
@@ -364,7 +366,7 @@ function verdict() {
     ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", brokenText()],
   ];
   get("figures").append(...facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
-  if (begins.length) get("what").append(` · from ${moment(Math.min(...begins)).slice(0, 19)} UTC`);
+  if (begins.length && hasDate(Math.min(...begins))) get("what").append(` · from ${moment(Math.min(...begins)).slice(0, 19)} UTC`);
 }
 
 /* Notes are facts worth knowing; they break no rule. */
@@ -419,7 +421,7 @@ function findings() {
 /* When a trouble happened: its first cases, as the document says; else the first and the last of its
    transactions, or its longest ones. Of more failures than the table holds, the last is not known. */
 function casesOf(one) {
-  const line = (at, text) => el("div", { class: "soft" }, at, " ", text ? el("span", { class: "nowrap" }, text) : null);
+  const line = (at, text) => el("div", { class: "soft" }, at, " ", text ? el("span", { class: text.length < 32 ? "nowrap" : "" }, text) : null);
   const longest = one.code === "POLL-PAUSED" ? "longest" : "first";
   if (one.cases.length) return [one.cases_of > one.cases.length ? line(`the ${one.cases.length === 1 ? "" : `${one.cases.length} `}${longest}:`, "") : null, ...one.cases.map(([us, text]) => line(exactly(us), text))];
   const words = one.search.split(" ").filter((word) => word && !word.startsWith("unit:") && !stats.links.some((link) => link.link === word));

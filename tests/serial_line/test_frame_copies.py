@@ -9,7 +9,8 @@ import pytest
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.modbus.adu import Adu, Skipped, rtu_adu
 from mbtool.serial_line import RtuSplitter
-from mbtool.serial_line.adapter_echo import (
+from mbtool.serial_line.bus_model import SURE
+from mbtool.serial_line.frame_copies import (
     ECHO,
     ECHOES,
     ENOUGH_COPIES,
@@ -17,7 +18,6 @@ from mbtool.serial_line.adapter_echo import (
     REPEAT,
     REPEATS,
 )
-from mbtool.serial_line.bus_model import SURE
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus
 

@@ -33,8 +33,8 @@ REPEATS = "a repeater sends each frame again: the second copy of each response i
 REPEAT = "the repeater's copy of the response before"
 
 
-class AdapterEcho:
-    """Finds the copies of requests that an adapter adds to what it hears."""
+class FrameCopies:
+    """Finds the copies of requests that an adapter hears, and of all frames behind a repeater."""
 
     __slots__ = (
         "_has_single", "_is_certain", "_is_copied", "_is_surely_copied", "_repeat_reason",

@@ -1,0 +1,207 @@
+"""Tells which requests of a polled list could be one, and how long its cycle would be then."""
+
+# Reads of one unit with one function become one if the addresses between them are known: some
+# request has read them, and the slave answered. A gap that nobody has read may be refused, so it
+# is never read over; nor is a range that contains one that the slave refused. A merged read has at
+# most the quantity of the standard, or of the device's profile.
+#
+# A request takes a fixed time (of the slave, and of the bytes that every request has) and a time
+# for each register or bit. The time for each follows from the requests of different quantities to
+# the same unit, and is on a serial line at least that of its bytes.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import median
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import FUNCTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from mbtool.ledger.poll_cycle import PollList, PollStep
+    from mbtool.ledger.poll_statistics import PollStatistics
+
+_REFUSALS = (2, 3, 4)
+_WAITS = 3.0
+"""A master waits between cycles if that pause is longer than so many of the others, and more than
+_LEAST_WAIT_NS."""
+_LEAST_WAIT_NS = 5_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class MergedRead:
+    """Several reads of a list that could be one."""
+
+    unit: int
+    function: int
+    address: int
+    quantity: int
+    count: int
+    """How many reads it stands for."""
+    most_asked: int
+    """The largest quantity that the slave has answered so far; a larger one is for its manual."""
+
+
+@dataclass(frozen=True, slots=True)
+class CycleAdvice:
+    """What would become of a polled list."""
+
+    merged: tuple[MergedRead, ...]
+    requests: int
+    """The number of requests of a cycle as it is."""
+    requests_then: int
+    busy_ns: int
+    """The time from the first request of a cycle to the last response."""
+    busy_then_ns: int
+    cycle_ns: int
+    waits: bool
+    """True if the master waits between cycles, so that the cycle may stay as long as it is."""
+
+    @property
+    def cycle_then_ns(self) -> int:
+        """The duration of a cycle if the master goes on as soon as it does today."""
+        return self.cycle_ns - self.busy_ns + self.busy_then_ns
+
+
+def advise(
+    one: PollList[PollStatistics],
+    polls: Iterable[PollStatistics],
+    character_ns: float | None = None,
+    limit_of: Callable[[int, int], int | None] = lambda unit, function: None,
+) -> CycleAdvice | None:
+    """Return advice on a list; None if none of its requests can be joined.
+
+    `polls` are all polls of the link. `character_ns` is the time of a character on a serial line;
+    None on a network. `limit_of` returns the largest quantity that the profile of a unit allows
+    for a function; None if it has none.
+    """
+    polls = list(polls)
+    groups: dict[tuple[int, int], list[PollStep[PollStatistics]]] = {}
+    for step in one.steps:
+        key = step.poll.key
+        function = FUNCTIONS.get(key.function)
+        is_read = function is not None and function.table is not None and not function.writes
+        if is_read and key.address is not None and step.poll not in one.repeated:
+            groups.setdefault((key.unit, key.function), []).append(step)
+    merged: list[MergedRead] = []
+    saved_ns, saved = 0, 0
+    for (unit, code), steps in groups.items():
+        limit = min(limit_of(unit, code) or FUNCTIONS[code].limit, FUNCTIONS[code].limit)
+        known, refused = _known(polls, unit, code)
+        runs = _runs(steps, known, refused, limit)
+        for run in runs:
+            if len(run) > 1:
+                span = _span(run)
+                before = sum(step.took_ns for step in run)
+                saved_ns += before - _predicted(steps, len(span), character_ns)
+                saved += len(run) - 1
+                merged.append(
+                    MergedRead(
+                        unit=unit,
+                        function=code,
+                        address=span.start,
+                        quantity=len(span),
+                        count=len(run),
+                        most_asked=max(_quantity(poll) for poll in _answered(polls, unit, code)),
+                    )
+                )
+    if not merged:
+        return None
+    pauses = [step.pause_ns for step in one.steps[1:]]
+    pause_ns = int(median(pauses)) if pauses else 0
+    busy_ns = sum(step.took_ns for step in one.steps) + sum(pauses)
+    wait_ns = one.steps[0].pause_ns
+    return CycleAdvice(
+        merged=tuple(sorted(merged, key=lambda each: (each.unit, each.function, each.address))),
+        requests=len(one.steps),
+        requests_then=len(one.steps) - saved,
+        busy_ns=busy_ns,
+        busy_then_ns=max(busy_ns - saved_ns - saved * pause_ns, 0),
+        cycle_ns=one.period_ns,
+        waits=wait_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS),
+    )
+
+
+def _quantity(poll: PollStatistics) -> int:
+    return max(poll.key.quantity or 1, 1)
+
+
+def _range(poll: PollStatistics) -> range:
+    first = poll.key.address or 0
+    return range(first, first + _quantity(poll))
+
+
+def _answered(polls: Iterable[PollStatistics], unit: int, code: int) -> list[PollStatistics]:
+    return [
+        poll
+        for poll in polls
+        if (poll.key.unit, poll.key.function) == (unit, code)
+        and poll.key.address is not None
+        and poll.tally.latency.count > sum(poll.tally.exceptions.values())
+    ]
+
+
+def _known(polls: Sequence[PollStatistics], unit: int, code: int) -> tuple[set[int], list[range]]:
+    """The addresses that the slave has given, and the ranges that it refused."""
+    known = {at for poll in _answered(polls, unit, code) for at in _range(poll)}
+    refused = [
+        _range(poll)
+        for poll in polls
+        if (poll.key.unit, poll.key.function) == (unit, code)
+        and poll.key.address is not None
+        and any(poll.tally.exceptions.get(exception) for exception in _REFUSALS)
+    ]
+    return known, refused
+
+
+def _runs(
+    steps: Iterable[PollStep[PollStatistics]],
+    known: set[int],
+    refused: Sequence[range],
+    limit: int,
+) -> list[list[PollStep[PollStatistics]]]:
+    """Divide reads into runs that can be one read each."""
+    runs: list[list[PollStep[PollStatistics]]] = []
+    for step in sorted(steps, key=lambda each: (_range(each.poll).start, -len(_range(each.poll)))):
+        if runs:
+            joined = _span([*runs[-1], step])
+            is_known = all(at in known for at in joined)
+            is_refused = any(
+                bad.start >= joined.start and bad.stop <= joined.stop for bad in refused
+            )
+            if len(joined) <= limit and is_known and not is_refused:
+                runs[-1].append(step)
+                continue
+        runs.append([step])
+    return runs
+
+
+def _span(run: Sequence[PollStep[PollStatistics]]) -> range:
+    ranges = [_range(step.poll) for step in run]
+    return range(min(each.start for each in ranges), max(each.stop for each in ranges))
+
+
+def _predicted(
+    steps: Sequence[PollStep[PollStatistics]], quantity: int, character_ns: float | None
+) -> int:
+    """The time (ns) that a read of this quantity would take, by those of other quantities."""
+    is_bits = (table := FUNCTIONS[steps[0].poll.key.function].table) is not None and table.is_bits
+    bytes_of_one = 1 / 8 if is_bits else 2
+    least = 0.0 if character_ns is None else character_ns * bytes_of_one
+    points = [(_quantity(step.poll), step.took_ns) for step in steps]
+    each = max(_slope(points), least)
+    fixed = median(took - each * count for count, took in points)
+    return round(fixed + each * quantity)
+
+
+def _slope(points: Sequence[tuple[int, int]]) -> float:
+    """The median slope of all pairs of points (Theil and Sen); 0 if there is none."""
+    slopes = [
+        (took - other_took) / (count - other)
+        for at, (count, took) in enumerate(points)
+        for other, other_took in points[:at]
+        if count != other
+    ]
+    return median(slopes) if slopes else 0.0

@@ -1,0 +1,56 @@
+"""What odd input costs grows no faster than the input, and is a small multiple of ordinary cost."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.adversary.prices import INPUTS, run
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+USUAL = 600
+"""A small input, with more requests than can be pending. It is compared with one four times as
+large."""
+MOST_TIMES = 10
+
+
+@cache
+def counted(name: str, size: int) -> tuple[int, int]:
+    """The number of function calls that an input takes, and its size in bytes."""
+    data = INPUTS[name].make(size)
+    run(name, INPUTS[name].make(1))  # What is imported and made once is not counted.
+    count = 0
+
+    def on_call(_frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(on_call)
+    try:
+        run(name, data)
+    finally:
+        sys.setprofile(before)
+    return count, len(data)
+
+
+NETWORK = [name for name, one in INPUTS.items() if one.basis == "ordinary"]
+
+
+@pytest.mark.parametrize("name", NETWORK)
+def test_calls_grow_no_faster_than_the_input(name: str) -> None:
+    few, few_bytes = counted(name, USUAL)
+    many, many_bytes = counted(name, 4 * USUAL)
+    assert many / few <= 1.2 * many_bytes / few_bytes
+
+
+@pytest.mark.parametrize("name", NETWORK)
+def test_a_byte_takes_at_most_ten_times_the_calls_of_an_ordinary_one(name: str) -> None:
+    count, size = counted(name, 4 * USUAL)
+    ordinary, ordinary_size = counted("ordinary", 4 * USUAL)
+    assert count / size <= MOST_TIMES * ordinary / ordinary_size
