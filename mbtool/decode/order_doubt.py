@@ -106,6 +106,10 @@ class _Queue:
         if request not in self.requests:
             return
         at = self.requests.index(request)
+        last = self._answered
+        if last is not None and last in self.requests and at < self.requests.index(last):
+            self.excluded.clear()  # Slaves answer in order, so a pair before this one is wrong.
+            return
         if not at or self.requests[at - 1] is not self._answered:
             self.excluded.clear()  # A request was passed over, so the shift may be another one.
         for shift in shifts:

@@ -429,9 +429,11 @@ def _captured_has_id(
     `lost` is the number of the lost request that the response may answer, 0 for one before the
     capture.
     """
+    if not (habits.ids_count_up or habits.ids_vary):
+        return False  # Any lost request can have had the one id.
     return any(
         each.adu is not None
-        and each.transaction_id == response.transaction_id
+        and each.adu.transaction_id == response.transaction_id
         and not each.repeats_lost_id
         and (each.number > lost or each.number not in reading.given_up)
         and habits.has_own_id(each, reading.waiting)

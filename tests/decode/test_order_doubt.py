@@ -68,6 +68,15 @@ def test_a_request_that_is_passed_over_begins_the_proof_anew() -> None:
     assert not doubt.is_settled(4)
 
 
+def test_a_response_to_a_request_before_the_last_answered_one_proves_nothing() -> None:
+    requests = [request(number, SIZES[number % 3]) for number in range(1, 7)]
+    doubt = OrderDoubt(requests)
+    for at in (0, 1, 3):
+        doubt.note_pair(response(SIZES[(at + 1) % 3]), AduPlace(900, 72), requests[at], 3)
+    doubt.note_pair(response(SIZES[0]), AduPlace(900, 72), requests[2], 3)
+    assert not doubt.is_settled(3)
+
+
 def test_each_transaction_id_has_its_own_order() -> None:
     one, two = request(1, 2, transaction_id=1), request(2, 2, transaction_id=2)
     doubt = OrderDoubt([one, two])
