@@ -203,7 +203,7 @@ def test_a_recording_of_23_requests_with_6_late_answers_is_not_green(
     assert 6 <= trouble["count"] <= failed + 1
 
 
-@MASTERS
+@LASTING_MASTERS
 def test_a_byte_before_each_answer_is_told_with_its_place(
     ask: Callable[..., int], tmp_path: Path
 ) -> None:
