@@ -33,7 +33,8 @@ if TYPE_CHECKING:
         ProfileError,
         UsageError,
     )
-    from mbtool.core.events import EventKind, WireEvent
+    from mbtool.core.evidence import EventKind, WireEvent
+    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.named_transaction import NamedTransaction, PointValue
     from mbtool.modbus.transaction import Outcome
     from mbtool.troubles.trouble import Trouble
@@ -45,7 +46,8 @@ _ERRORS = (
 _PLACES = {
     "Capture": ("api.capture", "Capture"),
     "Decoder": ("api.byte_decoder", "ByteDecoder"),
-    "EventKind": ("core.events", "EventKind"),
+    "EventKind": ("core.evidence", "EventKind"),
+    "Finding": ("devices.checking.finding", "Finding"),
     "LiveCapture": ("api.live_capture", "LiveCapture"),
     "NamedTransaction": ("devices.named_transaction", "NamedTransaction"),
     "ObservedShell": ("api.observed_shell", "ObservedShell"),
@@ -56,7 +58,7 @@ _PLACES = {
     "SerialBench": ("api.serial_bench", "SerialBench"),
     "Slave": ("api.slaves", "Slave"),
     "Trouble": ("troubles.trouble", "Trouble"),
-    "WireEvent": ("core.events", "WireEvent"),
+    "WireEvent": ("core.evidence", "WireEvent"),
     "line": ("api.serial_bench", "line"),
     "open": ("api.capture", "open_capture"),
     "sniff": ("api.live_capture", "sniff"),
@@ -70,6 +72,7 @@ __all__ = [
     "DamageError",
     "Decoder",
     "EventKind",
+    "Finding",
     "InputError",
     "LinkError",
     "LiveCapture",

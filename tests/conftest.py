@@ -43,7 +43,7 @@ SLOW = frozenset((
     "sources/test_relay.py", "sources/test_serial_capture.py", "sources/test_two_taps.py",
     "sources/test_virtual_line.py", "test___main__.py", "test_mutants.py", "test_pytest_plugin.py",
     "workflows/test_check_attacks.py", "workflows/test_check_byte_times.py",
-    "workflows/test_check_wrong_settings.py",
+    "workflows/test_check_wrong_settings.py", "workflows/test_conformance.py",
     "workflows/test_decode_cluster.py", "workflows/test_decode_job.py",
 ))  # fmt: skip
 _HERE = Path(__file__).parent

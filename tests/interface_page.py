@@ -18,10 +18,10 @@ BEGIN = "<!-- From here on the page is made of docstrings: python -m tests.inter
 FUNCTIONS = ("open", "sniff", "line")
 CLASSES = (
     "Capture", "LiveCapture", "Slave", "Replay", "ObservedShell", "Decoder", "SerialBench",
-    "PointRow", "Trouble",
+    "PointRow", "Finding", "Trouble",
 )  # fmt: skip
 _WIDTH = 96
-_SPECIAL = ("__getitem__", "__setitem__", "__iter__")
+_SPECIAL = ("__aiter__", "__getitem__", "__setitem__", "__iter__")
 
 
 def interface_text() -> str:

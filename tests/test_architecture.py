@@ -34,7 +34,6 @@ PAGES = sorted(
     ]
 )
 
-MAX_LINES = 450
 PURE_ROOMS = (
     "core", "modbus", "packets", "framing", "devices", "serial_line", "decode", "query",
     "ledger", "values", "troubles", "replay", "watching",
@@ -85,6 +84,30 @@ def test_no_modules_import_each_other_in_a_circle_not_even_for_their_types() -> 
     while free := {name for name in needs if not needs[name] & needs.keys()}:
         needs = {name: others for name, others in needs.items() if name not in free}
     assert sorted(needs) == []
+
+
+FIELD_NUMBERS = {
+    0x16: "modbus/functions.py:MASK_WRITE_REGISTER",
+    0x17: "modbus/functions.py:READ_WRITE_REGISTERS",
+    0x80: "modbus/functions.py:EXCEPTION_BIT",
+    247: "core/limits.py:LAST_UNIT",
+    502: "core/link_spec.py:MODBUS_PORT",
+}
+"""Numbers of the field, and the one constant that each is."""
+EQUAL_BY_CHANCE = {
+    "logs/layout.py:PRIVATE", "packets/link_layer.py:_HAS_QOS", "logs/healing.py:_MESSAGE_FIELDS",
+    "views/watch_columns.py:LEAST_REST", "devices/observed_slave.py:MAX_ROWS",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("number", FIELD_NUMBERS)
+def test_a_number_of_the_field_is_one_constant(number: int) -> None:
+    found = set()
+    for module in MODULES:
+        for node in ast.parse((SOURCE / module).read_text()).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.value) == str(number):
+                found.add(f"{module}:{ast.unparse(node.targets[0])}")
+    assert found - EQUAL_BY_CHANCE == {FIELD_NUMBERS[number]}
 
 
 def test_core_needs_the_standard_library_only() -> None:

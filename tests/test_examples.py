@@ -52,14 +52,33 @@ def test_an_example_runs(
     assert run.said in capsys.readouterr().out.replace("\r\n", "\n")
 
 
-def test_the_notebook_runs_from_its_beginning_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(EXAMPLES)
-    cells = json.loads((EXAMPLES / "tour.ipynb").read_text())["cells"]
-    names: dict[str, Any] = {}
+def run(cells: list[dict[str, Any]], names: dict[str, Any]) -> None:
     for cell in cells:
         if cell["cell_type"] == "code":
             assert cell["outputs"] == []
             exec("".join(cell["source"]), names)
+
+
+def test_the_notebook_of_values_runs_from_its_beginning_to_its_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("pandas", "polars"):
+        pytest.importorskip(name, reason=f"{name} is not installed: pip install 'mbtool[data]'")
+    monkeypatch.chdir(EXAMPLES)
+    names: dict[str, Any] = {}
+    run(json.loads((EXAMPLES / "values.ipynb").read_text())["cells"], names)
+    assert "<td>03 read holding 100..103 -&gt; 1514" in names["capture"]._repr_html_()
+    assert len(names["values"]) == 162
+    assert names["means"].loc[(1, "input 0")].tolist() == [230.8, 231.0, 231.2, 230.8]
+    assert names["slowest"]["unit"].to_list() == [2, 1, 1]
+    assert "UNIT-SLOW: " in capsys.readouterr().out
+    assert names["units"] == [("10.0.0.11", 1, 22), ("10.0.0.12", 1, 21), ("10.0.0.12", 2, 19)]
+
+
+def test_the_notebook_runs_from_its_beginning_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES)
+    names: dict[str, Any] = {}
+    run(json.loads((EXAMPLES / "tour.ipynb").read_text())["cells"], names)
     assert names["latest"]["HR400003"] == 7  # A master writes it meanwhile.
     assert names["table"].num_rows == len(names["transactions"]) > 5
     assert names["answer"] == bytes.fromhex("0001 0000 0007 01 03 04 0064 00c8")

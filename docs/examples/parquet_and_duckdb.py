@@ -22,7 +22,7 @@ QUESTION = """
 
 def main(out: str, *captures: str) -> None:
     """Write the file and print the slowest answer of each slave."""
-    table = mbtool.open(*captures).table()
+    table = mbtool.open(*captures).to_arrow()
     pq.write_table(table, out)
     print(f"{table.num_rows} transactions -> {out}")
     if find_spec("duckdb"):

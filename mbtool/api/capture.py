@@ -2,40 +2,56 @@
 
 from __future__ import annotations
 
+import json
+from html import escape
 from importlib.util import find_spec
+from itertools import islice
 from os import fspath
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.api.arguments import AnyPath, assignments_of, condition_of
 from mbtool.api.point_rows import PointRow, point_rows
 from mbtool.core import (
     CutError,
     DamageError,
+    InputError,
     LineSettings,
+    MbtoolError,
     WireEvent,
     parse_line,
 )
+from mbtool.workflows.shared.named_files import named_files
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
+
+    import pandas
+    import polars
 
     from mbtool.api.arguments import Devices
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.finding import Finding
     from mbtool.troubles.trouble import Trouble
+    from mbtool.workflows.check import CheckRun
 
 _TABLE_ROWS = 65_536
-"""If transactions are decoded one by one, `table` collects this many as Python objects, turns them
-into a table, and joins the tables at the end. This saves memory."""
+"""If transactions are decoded one by one, `to_arrow` collects this many as Python objects, turns
+them into a table, and joins the tables at the end. This saves memory."""
+
+
+_SHOWN = 10
+"""A notebook shows so many transactions of a capture."""
 
 
 class Capture:
-    """Captures or logs that can be read: as records, as rows or as a table.
+    """Captures or logs that can be read: as records, as rows, as tables, or judged.
 
-    Each method reads the files from their beginning, and needs little memory, except `table`. A
-    `with` block is possible and not necessary: a file is open only while it is read.
+    Each method reads the files from their beginning, and needs little memory, except `to_arrow` and
+    what is made of it. In a notebook a capture is shown by its first transactions. A `with` block
+    is possible and not necessary: a file is open only while it is read.
 
     A file that is cut or damaged raises CutError or DamageError after its last good record. If the
     capture was opened with `incomplete=True`, it adds a remark instead.
@@ -45,13 +61,14 @@ class Capture:
         self,
         paths: Sequence[str],
         options: ReadingOptions,
-        wanted: Callable[[NamedTransaction], bool] | None,
+        where: str | None,
         *,
         incomplete: bool,
     ) -> None:
         self._paths = paths
         self._options = options
-        self._wanted = wanted
+        self._where = where
+        self._wanted = None if where is None else condition_of(where)
         self._incomplete = incomplete
         self.remarks: list[str] = []
         """Lines about the files, such as that packets are cut; complete once a method has read them
@@ -67,10 +84,34 @@ class Capture:
     def __iter__(self) -> Iterator[NamedTransaction]:
         return self.transactions()
 
-    def transactions(self) -> Iterator[NamedTransaction]:
-        """Yield the transactions in the order in which they ended.
+    def __repr__(self) -> str:
+        return f"mbtool.open({', '.join(map(repr, self._paths))})"
 
-        Raises InputError for a file that cannot be read.
+    def _repr_html_(self) -> str:
+        """Return the first transactions as a table, for a notebook."""
+        from mbtool.views.cells import transaction_text
+
+        title = escape(", ".join(self._paths))
+        try:
+            shown = list(islice(self.transactions(), _SHOWN + 1))
+        except MbtoolError as error:
+            return f"<p>{title}: {escape(str(error))}</p>"
+        cells = [
+            (one.time.isoformat(" "), one.link, str(one.unit), transaction_text(one))
+            for one in shown[:_SHOWN]
+        ]
+        cells += [("...", "", "", "")] if len(shown) > _SHOWN else []
+        rows = [("time (UTC)", "link", "unit", "request and response"), *cells]
+        lines = ("".join(f"<td>{escape(one)}</td>" for one in row) for row in rows)
+        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table><caption>{title}</caption>{table}</table>"
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        """Yield the transactions in the order in which it was certain how they ended.
+
+        A request without an answer comes when its time is over, behind later ones: for the order of
+        the requests use `sorted(capture, key=lambda one: one.start_ns)`. Of several files, those of
+        the first come first. Raises InputError for a file that cannot be read.
         """
         return (one for one in self.records() if not isinstance(one, WireEvent))
 
@@ -92,24 +133,54 @@ class Capture:
             if not isinstance(record, WireEvent):
                 yield from point_rows(record, reading.profile_for(record))
 
-    def table(self) -> Table:
+    def to_arrow(self, *, points: bool = False) -> Table:
         """Return all transactions as a `pyarrow.Table`; docs/log-format.md lists its columns.
 
-        A file of packets that is opened without `devices`, `where`, `line` and `any_port` is
-        decoded several times as fast in this way as one by one. Raises UsageError if numpy or
-        pyarrow are not installed.
+        With `points`, return the values instead, one in each row; docs/sql.md lists their columns.
+        A file of packets that is opened without `line` and `any_port` is decoded several times as
+        fast in this way as one by one. Raises UsageError if pyarrow is not
+        installed.
         """
-        if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
-            from mbtool.core.extras import missing_extra
+        _demand("to_arrow()", "columns", "pyarrow")
+        if not points:
+            return self._table()
+        from mbtool.columns.value_table import joined_values
 
-            raise missing_extra("table()", "columns")
+        reading = self._new_reading()
+        reading.demand_files()
+        return joined_values(self._table(reading), reading.profile_named)
+
+    def to_polars(self, *, points: bool = False) -> polars.DataFrame:
+        """Return the table of `to_arrow` as a `polars.DataFrame`.
+
+        Raises UsageError if polars or pyarrow are not installed.
+        """
+        _demand("to_polars()", "data", "pyarrow", "polars")
+        import polars
+
+        frame = polars.from_arrow(self.to_arrow(points=points))
+        assert isinstance(frame, polars.DataFrame)
+        return frame
+
+    def to_pandas(self, *, points: bool = False) -> pandas.DataFrame:
+        """Return the table of `to_arrow` as a `pandas.DataFrame`; texts become categories.
+
+        Raises UsageError if pandas or pyarrow are not installed.
+        """
+        _demand("to_pandas()", "data", "pyarrow", "pandas")
+        frame: pandas.DataFrame = self.to_arrow(points=points).to_pandas()
+        return frame
+
+    def _table(self, reading: Reading | None = None) -> Table:
         from mbtool.columns.row_table import row_table, whole_table
 
         parts = []
         rows: list[NamedTransaction] = []
         if self._wanted is None and (columns := self._columns()) is not None:
             return whole_table(columns)
-        for one in self.transactions():
+        for one in self._chosen(reading or self._new_reading()):
+            if isinstance(one, WireEvent):
+                continue
             rows.append(one)
             if len(rows) == _TABLE_ROWS:
                 parts.append(row_table(rows))
@@ -122,17 +193,66 @@ class Capture:
         They are those of `mbtool check`: with `where`, units are judged by the transactions that
         pass. `cause`, `remedy` and `sentence` have the words, `evidence` the first cases.
         """
+        return [*self._checked()[0].judgement().troubles]
+
+    def findings(self) -> list[Finding]:
+        """Return the broken rules, those of `mbtool check`; docs/findings.md explains the codes.
+
+        At the end of each file come those about it as a whole.
+        """
+        return self._checked()[1]
+
+    def stats(self) -> dict[str, Any]:
+        """Return the statistics: a dictionary with the keys of `mbtool stats --json`.
+
+        docs/stats.md explains them: `stats()["links"][0]["functions"]`.
+        """
+        from mbtool.views.statistics_document import statistics_document
+
+        run, _ = self._checked()
+        text = statistics_document(
+            run.ledger,
+            run.judgement(),
+            sources=self._paths,
+            where=self._where,
+            remarks=self.remarks,
+        )
+        document: dict[str, Any] = json.loads(text)
+        return document
+
+    def inventory(self) -> dict[str, Any]:
+        """Return slaves and masters: a dictionary with the keys of `inventory --format json`.
+
+        docs/inventory.md explains them: `inventory()["slaves"][0]["host"]`.
+        """
+        from mbtool.version import __version__
+        from mbtool.views.inventory_documents import inventory_json
+        from mbtool.workflows.inventory import InventoryOptions, InventoryRun
+
+        options = InventoryOptions(reading=self._options, wanted=self._wanted)
+        run = InventoryRun(self._paths, options)
+        inventory = run.take()
+        error = run.error
+        self._finish(run.reading, error)
+        text = inventory_json(
+            inventory, __version__, judgement=run.judgement(), remarks=self.remarks
+        )
+        document: dict[str, Any] = json.loads(text)
+        return document
+
+    def _checked(self) -> tuple[CheckRun, list[Finding]]:
+        """Read and check the files; return the run with its judgement, and all findings."""
         from mbtool.workflows.check import CheckRun
 
         run = CheckRun(self._paths, self._options, wanted=self._wanted)
+        found: list[Finding] = []
         try:
-            for _ in run.findings():
-                pass
+            found.extend(one.finding for one in run.findings())
         except (CutError, DamageError) as error:
             self._finish(run.reading, error)
         else:
             self._finish(run.reading)
-        return [*run.judgement().troubles]
+        return run, found
 
     def _columns(self) -> list[Table] | None:
         """Return all transactions as tables, made by the array decoder.
@@ -164,7 +284,7 @@ class Capture:
         else:
             self._finish(reading)
 
-    def _finish(self, reading: Reading, error: CutError | DamageError | None = None) -> None:
+    def _finish(self, reading: Reading, error: InputError | None = None) -> None:
         """Store the remarks about the files, and raise `error`, which ended the reading, if any.
 
         With `incomplete=True`, the error becomes a remark instead. Raises InputError if nothing in
@@ -183,6 +303,14 @@ class Capture:
         return Reading(self._paths, self._options)
 
 
+def _demand(what: str, extra: str, *packages: str) -> None:
+    """Raise UsageError, which says that `what` needs the extra, if a package is not installed."""
+    if any(find_spec(name) is None for name in packages):
+        from mbtool.core.extras import missing_extra
+
+        raise missing_extra(what, extra)
+
+
 def open_capture(
     path: AnyPath,
     *more: AnyPath,
@@ -197,6 +325,7 @@ def open_capture(
 ) -> Capture:
     """Open a capture (.pcap, .pcapng) or a log (.mcap), plain, .gz or .zst; or several as one.
 
+    A folder stands for the captures in it, a pattern ("site-*.pcap") for the files that fit it.
     `devices` gives slaves their profiles: {5: "idec-ft1a-touch", "192.168.3.250": "fa3-at1m8x"}; a
     log contains the profiles that it was recorded with. `where` chooses transactions: 'unit == 5
     and outcome != "ok"'. `line` says that the file has the bytes of a serial line: "rtu@19200-8E1".
@@ -215,6 +344,5 @@ def open_capture(
         line=settings,
         raw=raw,
     )
-    wanted = None if where is None else condition_of(where)
-    paths = [fspath(one) for one in (path, *more)]
-    return Capture(paths, options, wanted, incomplete=incomplete)
+    paths = named_files([fspath(one) for one in (path, *more)])
+    return Capture(paths, options, where, incomplete=incomplete)

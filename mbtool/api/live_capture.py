@@ -14,12 +14,12 @@ from mbtool.core.link_spec import HEARD, MODBUS_PORT
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer
-from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.ports.clock import now_ns
+from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.workflows.sniff import Sniffer, serial_lines, with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
     from mbtool.api.arguments import AnyPath, Devices
     from mbtool.decode.decoder import Record
@@ -69,6 +69,24 @@ class LiveCapture:
 
     def __iter__(self) -> Iterator[NamedTransaction]:
         return self.transactions()
+
+    def __aiter__(self) -> AsyncIterator[NamedTransaction]:
+        """Yield transactions as they end, to `async for`; a thread waits for them.
+
+        Cancelling the task that waits ends the listening for good, as `stop` does.
+        """
+        return self._awaited()
+
+    async def _awaited(self) -> AsyncIterator[NamedTransaction]:
+        import asyncio  # Slow to import; most programs listen without it.
+
+        heard = self.transactions()
+        try:
+            while (one := await asyncio.to_thread(next, heard, None)) is not None:
+                yield one
+        except asyncio.CancelledError:
+            self.stop()
+            raise
 
     def transactions(
         self, *, seconds: float | None = None, count: int | None = None

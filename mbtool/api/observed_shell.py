@@ -21,8 +21,9 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.core.wording import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
-from mbtool.slave.shells import TcpSlave, slave_link
+from mbtool.slave.shells import TcpSlave, UdpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
 from mbtool.workflows.shared.fault_switch import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
@@ -42,7 +43,6 @@ MAX_KEPT = 100_000
 72,000."""
 _SHOWN = 20
 """The message of a failed assertion shows at most this many requests."""
-_READ_WRITE = 0x17
 
 
 class ObservedShell:
@@ -78,7 +78,7 @@ class ObservedShell:
         Raises LinkError if the link cannot be opened.
         """
         self._shell.start()
-        if isinstance(self._shell, TcpSlave):
+        if isinstance(self._shell, TcpSlave | UdpSlave):
             self._spec = replace(self._shell.link, endpoint=self._shell.endpoint)
             self._monitor.on_link(self._spec.name)
 
@@ -106,8 +106,8 @@ class ObservedShell:
         return self._tcp.endpoint.port
 
     @property
-    def _tcp(self) -> TcpSlave:
-        if not isinstance(self._shell, TcpSlave):
+    def _tcp(self) -> TcpSlave | UdpSlave:
+        if not isinstance(self._shell, TcpSlave | UdpSlave):
             raise LinkError(f"{self.link}: a serial line has no TCP host and port")
         return self._shell
 
@@ -303,12 +303,12 @@ def _written_at(one: NamedTransaction, span: Span) -> list[int] | None:
     the request writes nothing, or begins behind the first address of `span`.
     """
     function = FUNCTIONS.get(one.function)
-    first = one.write_address if one.function == _READ_WRITE else one.address
+    first = one.write_address if one.function == READ_WRITE_REGISTERS else one.address
     if (
         function is None
         or first is None
         or not one.request_values
-        or not (function.writes or one.function == _READ_WRITE)
+        or not (function.writes or one.function == READ_WRITE_REGISTERS)
     ):
         return None
     begin = span.first - first

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS, TABLE_FUNCTIONS
+from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices import NamedTransaction, Profile
-
-_MASK_WRITE, _READ_WRITE = 0x16, 0x17
 
 
 class PointRow(NamedTuple):
@@ -56,7 +55,7 @@ def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterat
         for point in points:
             named = (point.reference, point.name, point.value, point.text, point.unit)
             yield PointRow(*begin, *named, written)
-    if not one.points and one.function in TABLE_FUNCTIONS and one.function != _MASK_WRITE:
+    if not one.points and one.function in TABLE_FUNCTIONS and one.function != MASK_WRITE_REGISTER:
         for reference, value, written in _plain_values(one, profile):
             yield PointRow(*begin, reference, reference, value, str(value), None, written)
 
@@ -72,7 +71,7 @@ def _plain_values(
     function = FUNCTIONS[one.function]
     if function.table is None:
         return
-    is_both = one.function == _READ_WRITE
+    is_both = one.function == READ_WRITE_REGISTERS
     written_at = one.write_address if is_both else one.address
     for first, values, written in (
         (one.address, one.response_values, False),

@@ -13,7 +13,7 @@ from mbtool.api.arguments import assignments_of, condition_of, profile_of
 from mbtool.api.observed_shell import ObservedShell, monitor_of
 from mbtool.core import UsageError
 from mbtool.devices.values import PointInstance
-from mbtool.ports.allowed_peers import AllowedPeers
+from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.replay import MatchStrategy, OnEnd, OnMiss, TimeRange
 from mbtool.slave.device.image_file import load_image
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun

@@ -33,8 +33,8 @@ def read(
     A long range is read with several requests, as many as the device's manual asks for. Exit 1 when
     a request gets an exception or no answer.
     """
-    asked, options = ask.read(link), table.read()
-    requests = [pdu for each in references for pdu in asked.wording.reads(each)]
+    asked, options = ask.read(link, references), table.read()
+    requests = [pdu for each in asked.references for pdu in asked.wording.reads(each)]
     _ask_all(asked, requests, format_, options)
 
 
@@ -46,7 +46,8 @@ def write(
         typer.Argument(
             metavar="REFERENCE=VALUE",
             help="What to write: HR400001=4660, 'holding 0=1,2,3', 'coil 3=on', or the name of a "
-            "point and a value in its unit. References are those of mbtool read.",
+            "point and a value in its unit; with a type, hr10=23.4:f32cdab. References are those "
+            "of mbtool read.",
         ),
     ],
     *,
@@ -62,8 +63,8 @@ def write(
     It shows what it will write, and asks at the terminal. Each REFERENCE=VALUE is one request.
     Exit 1 when a request gets an exception or no answer, or when you say no.
     """
-    asked, options = ask.read(link), table.read()
-    requests = [asked.wording.write(each) for each in values]
+    asked, options = ask.read(link, values, writes=True), table.read()
+    requests = [asked.wording.write(each) for each in asked.references]
     if not yes:
         _demand_consent(asked, values)
     if_interrupted = "interrupted; the slave may have taken what was sent, or may take it yet"

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from mbtool.cli.tls_options import TargetTlsOptions
+from mbtool.core.moments import DAY_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mbtool.cli.options import Format
     from mbtool.cli.output import RecordOutput
     from mbtool.core import LinkSpec, TargetTls
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.master.links import MasterLink
     from mbtool.views.table_options import TableOptions
     from mbtool.workflows.ask import Asker
     from mbtool.workflows.shared.questions import Wording
@@ -35,7 +37,7 @@ ReferencesArgument = Annotated[
         metavar="REFERENCE",
         help="What to read: HR400001..400010 or the name of a point, as the device's manual writes "
         "them (with --device); 'holding 0..9', 'coil 3', 'hr 0x10' by the address on the wire; "
-        "0..9 with --function.",
+        "0..9 with --function. A type may follow: hr10:f32cdab, 40011:u32, 'holding 0..9:i16'.",
     ),
 ]
 ListenOption = Annotated[
@@ -47,7 +49,16 @@ ListenOption = Annotated[
         "there. 0s: send at once. [default: 1s, or 5s if anything is heard]",
     ),
 ]
-_MOST_LISTEN_NS = 86_400_000_000_000
+RecordOption = Annotated[
+    str | None,
+    typer.Option(
+        "--record",
+        "-w",
+        metavar="FILE.mcap",
+        help="On a serial line: log all that is heard, our requests as a link of its own.",
+    ),
+]
+_MOST_LISTEN_NS = DAY_NS
 
 
 def listen_ns(text: str | None) -> int | None:
@@ -57,6 +68,32 @@ def listen_ns(text: str | None) -> int | None:
     from mbtool.core.moments import parse_duration
 
     return None if text is None else parse_duration(text, "--listen", 0, _MOST_LISTEN_NS)
+
+
+@contextmanager
+def recorded(
+    master: MasterLink, link: LinkSpec, record: str | None, *, overwrite: bool
+) -> Iterator[None]:
+    """While the context is open, log the line of `master` to the file of --record, if there is one.
+
+    Raises UsageError if the file cannot be created, or if the link is no serial line.
+    """
+    if record is None:
+        yield
+        return
+    from mbtool.core import SerialLink, UsageError
+    from mbtool.devices import Assignments
+    from mbtool.master.links import SerialMaster
+    from mbtool.workflows.shared.asked_log import AskedLog
+
+    if not isinstance(link, SerialLink) or not isinstance(master, SerialMaster):
+        raise UsageError(
+            f"--record {record}: logs a serial line; on TCP, ask through a tap: mbtool sniff "
+            "tap:LISTEN=TARGET -w FILE.mcap"
+        )
+    with AskedLog(record, link, Assignments([]), overwrite=overwrite) as log:
+        master.on_bytes = lambda data, at_ns, is_ours: log.add(data, at_ns, is_ours=is_ours)
+        yield
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +141,28 @@ class AskOptions(TargetTlsOptions):
         ),
     ] = False
 
-    def read(self, link_text: str) -> AskedSlave:
-        """Combine LINK and the options. Raises UsageError for a text that is not understood."""
+    record: RecordOption = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file of --record if there is one.")
+    ] = False
+
+    def read(
+        self, link_text: str, references: Sequence[str], *, writes: bool = False
+    ) -> AskedSlave:
+        """Combine LINK, the references with their types, and the options. With `writes`, each
+        reference has a value.
+
+        Raises UsageError for a text that is not understood.
+        """
+        from mbtool.cli.output_path import demand_new
         from mbtool.core import parse_link
         from mbtool.core.link_spec import ANSWERED
         from mbtool.core.numbers import UNITS, parse_number, parse_unit
         from mbtool.workflows.ask import transport_of
         from mbtool.workflows.shared.questions import Wording
+        from mbtool.workflows.shared.typed_references import typed_references
 
+        demand_new(self.record, overwrite=self.overwrite)
         link = parse_link(link_text, ANSWERED)
         unit = parse_unit(self.unit, "--unit")
         profile = self._profile(unit)
@@ -120,16 +171,20 @@ class AskOptions(TargetTlsOptions):
         code = None
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")
+        plain, profile = typed_references(references, profile, code, writes=writes)
         timeout_ns = round(self.timeout * 1e9)
         return AskedSlave(
             link,
             unit,
             profile,
             Wording(profile, code),
+            plain,
             timeout_ns,
             self.target(),
             listen_ns(self.listen),
             self.between,
+            self.record,
+            self.overwrite,
         )
 
     def _profile(self, unit: int) -> Profile | None:
@@ -154,12 +209,17 @@ class AskedSlave:
     unit: int
     profile: Profile | None
     wording: Wording
+    references: list[str]
+    """What the user named to read or write, without types."""
     timeout_ns: int
     tls: TargetTls | None
     listen_ns: int | None
     """The time (ns) to listen for another master before the first request; None for the default."""
     is_between: bool
     """True if requests are sent in the pauses of another master."""
+    record: str | None
+    """The log to which the line is written; None for none."""
+    overwrite: bool
 
     @contextmanager
     def open(
@@ -182,7 +242,10 @@ class AskedSlave:
         from mbtool.master.links import open_master
         from mbtool.workflows.ask import Asker
 
-        with open_master(self.link, self.timeout_ns, say, self.tls) as master:
+        with (
+            open_master(self.link, self.timeout_ns, say, self.tls) as master,
+            recorded(master, self.link, self.record, overwrite=self.overwrite),
+        ):
             master.take_line(self.listen_ns, between=self.is_between)
             asker = Asker(master, self.link, self.unit, self.profile)
             with open_output(

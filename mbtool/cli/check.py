@@ -118,8 +118,10 @@ def check(
     from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
+    files = named_files(files)
     options = source.read(device, raw=raw, silences=silences)
     codes = CodeFilter.parse(select or (), ignore or ())
     window = TimeWindow.parse(start, end)

@@ -117,12 +117,14 @@ def _print_runs(
 def _processes(columns: ColumnReading, out: RecordOutput, jobs: int) -> BlockProcesses | None:
     """Start `jobs` processes that turn decoded transactions into output.
 
-    Returns None if `jobs` is 1, if profiles are in use, which these processes do not know, or if
-    the system starts no more processes.
+    Returns None if `jobs` is 1, if profiles are in use, which these processes do not know, if
+    values are written to a second file, or if the system starts no more processes.
     """
-    if jobs == 1 or any(columns.assignments):
+    from mbtool.cli.printers import LinesPrinter, ParquetPrinter
+
+    is_alone = isinstance(out.printer, ParquetPrinter) and out.printer.values is not None
+    if jobs == 1 or is_alone or any(columns.assignments):
         return None
-    from mbtool.cli.printers import LinesPrinter
     from mbtool.workflows.shared.block_processes import BlockProcesses
 
     with suppress(LinkError):

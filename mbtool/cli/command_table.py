@@ -26,13 +26,18 @@ _MODULES = {
     "poll": "poll",
     "scan": "scan",
     "test": "conformance",
+    "find": "find",
     "devices": "devices",
     **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
 }
 """The module of this package that has a command's function, by command in the order of the help."""
 
 # Newer versions of Wireshark give options that mbtool does not know; they are ignored.
-_SETTINGS = {"extcap": {"ignore_unknown_options": True, "allow_extra_args": True}}
+# A negative number is no option of find.
+_SETTINGS = {
+    "find": {"ignore_unknown_options": True},
+    "extcap": {"ignore_unknown_options": True, "allow_extra_args": True},
+}
 
 
 class CommandTable(Mapping[str, Any]):

@@ -64,6 +64,9 @@ def test(
         Path | None,
         typer.Option("--report", metavar="FILE.xml", help="Write the results as JUnit XML."),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file of --report if there is one.")
+    ] = False,
     format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
 ) -> None:
     """Test a slave against its profile and the standard.
@@ -72,6 +75,8 @@ def test(
     functions, wrong checks, torn frames, wrong headers. Writes nothing without --writes. Exit 1 if
     a case fails.
     """
+    from mbtool.cli.output_file import demand_writable
+    from mbtool.cli.output_path import demand_new
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
@@ -91,6 +96,9 @@ def test(
             raise UsageError(f"--writes {text}: can only be read")
     if report is not None and report.suffix != ".xml":
         raise UsageError(f"--report {report}: let its name end in .xml")
+    demand_new(None if report is None else str(report), overwrite=overwrite)
+    if report is not None:
+        demand_writable(report)
     whole = TestReport()
     heard_ns = listen_ns(listen)
     with interruptible() as interrupt, open_wire(spec, round(timeout * 1e9), heard_ns) as wire:
@@ -110,6 +118,8 @@ def test(
     text = f"{counted(len(whole.cases), 'case')}: {passed} as expected, {failed} failed"
     say(f"{text}, {counted(notes, 'note')}")
     if interrupt.asked:
+        turns = f" in run {turn + 1} of {repeat}" if repeat > 1 else ""
+        say(f"interrupted{turns}; the cases after that were not run")
         raise typer.Exit(exit_codes.INTERRUPTED)
     if failed:
         raise typer.Exit(exit_codes.NO)
@@ -134,10 +144,13 @@ def _print(cases: Sequence[CaseResult], format_: ListFormat) -> None:
     for one in cases:
         if one.result in styles:
             word, style = styles[one.result]
-            console.print(plain(f"{word}  {one.name} ({one.section})", style))
-            console.print(plain(f"    {one.problem}"))
-            console.print(plain(f"    sent   {_bytes(one.sent)}"))
-            console.print(plain(f"    heard  {_bytes(one.heard)}"))
+            for line, line_style in (
+                (f"{word}  {one.name} ({one.section})", style),
+                (f"    {one.problem}", ""),
+                (f"    sent   {_bytes(one.sent)}", ""),
+                (f"    heard  {_bytes(one.heard)}", ""),
+            ):
+                console.print(plain(line, line_style), soft_wrap=True)
 
 
 def _bytes(raw: bytes) -> str:

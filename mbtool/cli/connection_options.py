@@ -10,7 +10,7 @@ import typer
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
-    from mbtool.ports.connection_limits import ConnectionLimits
+    from mbtool.ports.tcp_listener import ConnectionLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class ConnectionOptions(OptionGroup):
     ] = None
 
     def read(self) -> ConnectionLimits:
-        from mbtool.ports.connection_limits import ConnectionLimits
+        from mbtool.ports.tcp_listener import ConnectionLimits
 
         return ConnectionLimits(
             connections=self.max_connections, per_second=self.max_rate, idle_s=self.idle

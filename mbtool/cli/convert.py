@@ -21,6 +21,7 @@ from mbtool.cli.options import (
 
 if TYPE_CHECKING:
     from mbtool.workflows.convert import Conversion
+    from mbtool.workflows.shared.pcapng_output import Converted
 
 
 @takes_groups
@@ -31,7 +32,8 @@ def convert(
             metavar="FILE",
             help="Captures, logs (.mcap), bytes of a serial line, or .jsonl. The last FILE is "
             "the one to write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, "
-            ".csv, .parquet or .txt. Several become one, in the order of time.",
+            ".csv, .parquet or .txt. Several become one, in the order of time; with {device} in "
+            "its name each slave gets a file, with its whole TCP connections.",
         ),
     ],
     *,
@@ -41,6 +43,14 @@ def convert(
     start: StartOption = None,
     end: EndOption = None,
     where: WhereOption = None,
+    connections: Annotated[
+        bool,
+        typer.Option(
+            "--connections",
+            help="With --start, --end and --where: all packets of the TCP connections that they "
+            "choose, with handshakes and acknowledgements.",
+        ),
+    ] = False,
     anonymous: Annotated[
         bool,
         typer.Option(
@@ -78,12 +88,21 @@ def convert(
     from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.progress import with_progress
     from mbtool.core import UsageError
-    from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
+    from mbtool.workflows.convert import CAPTURE_SUFFIXES, DEVICE, Conversion
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
     if len(files) < 2:
         raise UsageError("name what to read, then the file to write: convert A.mcap B.pcapng")
     *paths, out = files
+    paths = named_files(paths)
+    if DEVICE in out and (
+        PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES or topic_per_point or anonymous
+    ):
+        raise UsageError(
+            f"{DEVICE} goes with {', '.join(sorted(CAPTURE_SUFFIXES))}, "
+            "and not with --anonymous and --topic-per-point"
+        )
     if topic_per_point and PurePath(out).suffix.lower() != ".mcap":
         raise UsageError("--topic-per-point goes with a log: name the last FILE .mcap")
     suffixes = (*sorted(CAPTURE_SUFFIXES), *OUTPUT_FORMATS)
@@ -93,7 +112,7 @@ def convert(
     fits = None if where is None else condition(where)
     options = source.read(device, silences=silences)
     window = TimeWindow.parse(start, end)
-    conversion = Conversion(paths, options, window, fits, with_progress)
+    conversion = Conversion(paths, options, window, fits, with_progress, connections=connections)
     if not anonymous:
         if key is not None or units:
             raise UsageError("--key and --units go with --anonymous")
@@ -102,7 +121,9 @@ def convert(
     from mbtool.workflows.anonymise import anonymous_conversion, read_key
     from mbtool.workflows.shared.anonymous_packets import AnonymousChoice
 
-    with anonymous_conversion(conversion, read_key(key), AnonymousChoice(units)) as copy:
+    with anonymous_conversion(
+        conversion, read_key(key), AnonymousChoice(units), with_progress
+    ) as copy:
         _convert(copy, out, events, overwrite, topic_per_point)
     conversion.demand_whole()
 
@@ -119,28 +140,49 @@ def _convert(
     from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
-    from mbtool.core.wording import counted
-    from mbtool.workflows.convert import CAPTURE_SUFFIXES
+    from mbtool.workflows.convert import CAPTURE_SUFFIXES, DEVICE
 
-    if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
+    if DEVICE in out:
+        _write_each(conversion, out, overwrite=overwrite)
+    elif PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
         _write_records(conversion, out, events, overwrite=overwrite)
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
         with left_told(out), kept_told(out):
             done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
-        parts = (
-            (done.packets, "packet"),
-            (done.reads, "read"),
-            (done.transactions, "transaction"),
-        )
-        texts = [counted(count, word) for count, word in parts if count]
-        say(f"{', '.join(texts) or 'nothing'} -> {out}")
+        _tell(done, out)
         if topic_per_point and not done.points:
             say("no point has a name, so none has a topic; name the devices: --device WHO=PROFILE")
     for remark in conversion.remarks:
         say(remark)
     conversion.demand_whole()
+
+
+def _write_each(conversion: Conversion, out: str, *, overwrite: bool) -> None:
+    """Write a file for each slave."""
+    from mbtool.cli.talk import say
+
+    files = 0
+    for path, done in conversion.write_each(out, overwrite=overwrite):
+        _tell(done, path)
+        files += 1
+    if not files:
+        say("no transaction, so there is no slave to write a file of")
+
+
+def _tell(done: Converted, out: str) -> None:
+    """Print what was written to the file `out`."""
+    from mbtool.cli.talk import say
+    from mbtool.core.wording import counted
+
+    parts = (
+        (done.packets, "packet"),
+        (done.reads, "read"),
+        (done.transactions, "transaction"),
+    )
+    texts = [counted(count, word) for count, word in parts if count]
+    say(f"{', '.join(texts) or 'nothing'} -> {out}")
 
 
 def _write_records(

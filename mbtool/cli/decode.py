@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import stat
 import sys
@@ -27,6 +26,7 @@ from mbtool.cli.options import (
     SourceOptions,
     StartOption,
     TableOptionGroup,
+    TypesOption,
     WhereOption,
 )
 from mbtool.cli.progress import with_progress
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.time_window import TimeWindow
 
 STANDARD_INPUT = "-"
-_WORTH_BYTES = 1024 * 1024
-"""If the files have fewer bytes than this together, they are not decoded as arrays: importing numpy
-would take longer than arrays save."""
 _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read new records from the log."""
 
@@ -61,6 +58,7 @@ def decode(
     ],
     *,
     device: DeviceOption = None,
+    types: TypesOption = None,
     where: WhereOption = None,
     format_: Annotated[
         Format | None,
@@ -76,6 +74,14 @@ def decode(
             metavar="OUT",
             help="Write to a file: .jsonl, .csv, .parquet, .ipal or .txt; with --format parquet "
             "also into a folder, here or in an object store (s3://...): a file for each capture.",
+        ),
+    ] = None,
+    points: Annotated[
+        str | None,
+        typer.Option(
+            "--points",
+            metavar="OUT",
+            help="With -o OUT.parquet: a second Parquet file with a row for each value.",
         ),
     ] = None,
     overwrite: OverwriteOption = False,
@@ -118,6 +124,7 @@ def decode(
     from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -125,22 +132,25 @@ def decode(
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
     if follow and sort is not None:
         raise UsageError("--follow prints each row as it comes; --sort needs all of them first")
-    if is_job(files, output, group):
+    if not is_job(files, output, group):
+        files = named_files(files)
+    else:
         refuse_others({
-            "--device": device, "--where": where, "--start": start, "--end": end,
+            "--device": device, "--types": types, "--where": where, "--start": start, "--end": end,
             "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
-            "--sunspec": sunspec, "--events": events, "--sort": sort,
+            "--sunspec": sunspec, "--events": events, "--sort": sort, "--points": points,
             "--t1-5, --t3-5, --response-timeout": silences != SilenceOptions(),
             "options of the table": table != TableOptionGroup(),
         })  # fmt: skip
         read = source.read()
         run_job(files, output, format_, read, group, jobs, overwrite=overwrite)
         return
-    demand_other_file(files, output)
+    for path in (output, points):
+        demand_other_file(files, path)
     window = TimeWindow.parse(start, end)
     fits = condition(where)
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
-    options = source.read(device, raw=raw, silences=silences)
+    options = source.read(device, raw=raw, silences=silences, types=types)
     if sunspec is not None:
         from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
 
@@ -163,6 +173,8 @@ def decode(
             order=sort,
             overwrite=overwrite,
             in_place=follow or (STANDARD_INPUT in files and _is_piped()),
+            points=points,
+            profile_named=reading.profile_named,
         ) as out,
         interruptible() as interrupt,
     ):
@@ -230,11 +242,13 @@ def _columns(
     match format_ or OUTPUT_FORMATS.get(suffix):
         case Format.PARQUET:
             demand_columns()
-            return column_reading(files, options)
+            return column_reading(files, options, at_least=0)  # pyarrow needs numpy anyway.
+        case _ if _is_shown(output):
+            return None
         case Format.JSONL | Format.CSV if events in (None, EventChoice.NONE):
-            return column_reading(files, options, at_least=_worth_bytes(output))
+            return column_reading(files, options)
         case Format.TABLE | None if events is not EventChoice.ALL:
-            return column_reading(files, options, at_least=_worth_bytes(output))
+            return column_reading(files, options)
     return None
 
 
@@ -249,18 +263,15 @@ def _reading(
     from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.shared.reading_choice import column_reading
 
-    columns = None if is_cut else column_reading(files, options, at_least=_worth_bytes(output))
+    columns = None if is_cut or _is_shown(output) else column_reading(files, options)
     return columns or Reading(files, options)
 
 
-def _worth_bytes(output: str | None) -> float:
-    """Return the least size in bytes, of all files together, for the array decoder.
-
-    It is infinite if rows go to a terminal, where the first rows should appear at once. `output` is
-    the path of the output file, None for standard output.
+def _is_shown(output: str | None) -> bool:
+    """True if rows go to a terminal, where the first rows should appear at once, so that packets
+    are decoded one by one. `output` is the path of the output file, None for standard output.
     """
-    is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
-    return math.inf if is_shown else _WORTH_BYTES
+    return output is None and sys.stdout is not None and sys.stdout.isatty()
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from mbtool.cli.column_output import cores
 from mbtool.cli.option_groups import OptionGroup
 from mbtool.cli.options import Format
+from mbtool.cli.progress import Files, with_progress
 from mbtool.cli.talk import interruption_told, say
 from mbtool.core import InputError, UsageError
 from mbtool.core.wording import counted
@@ -114,7 +116,11 @@ def run_job(
     failed = []
     kept = f"interrupted; what is decoded is in {output}, and the same command does the rest"
     with interruption_told(kept):
-        for outcome in job.run(executor):
+        outcomes = job.run(executor)
+        first = next(outcomes, None)  # Then the number of files is known.
+        left = Files(job.files - job.done_before)
+        every = chain([] if first is None else [first], outcomes)
+        for outcome in with_progress(left, left.counted(every)):
             decoded += 1
             transactions += outcome.transactions
             if outcome.error:

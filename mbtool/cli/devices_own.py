@@ -83,8 +83,8 @@ def draft(
     from mbtool.cli.talk import say
     from mbtool.core.wording import counted
     from mbtool.devices import parse_who
-    from mbtool.devices.drafting.draft import draft_profile
     from mbtool.devices.profile_template import name_for
+    from mbtool.values.draft import draft_profile
 
     demand_new(output, overwrite=overwrite)
     who = parse_who(unit) if unit is not None else None

@@ -75,7 +75,7 @@ EXAMPLES = {
         f"mbtool replay site.mcap --as-master --to {_PORT} --report result.xml",
     ),
     "diff": HelpExamples(
-        "comparing",
+        "diff",
         "mbtool diff good-day.mcap bad-day.mcap",
         "mbtool diff a.pcap b.pcap --ignore 'holding 9..19' --no-latency",
     ),
@@ -108,6 +108,11 @@ EXAMPLES = {
         "master",
         "mbtool poll tcp:127.0.0.1:1502 'input 0..3' --every 250ms",
         f"mbtool poll {_PORT} --unit 3 'holding 0..7' --count 100",
+    ),
+    "find": HelpExamples(
+        "find",
+        "mbtool find site.mcap 23.4@10:15:03 23.9@10:16:00",
+        "mbtool find site.mcap Voltage=236.8V Current=1.158A --keep meter.toml",
     ),
     "links": HelpExamples("links", "mbtool links", "mbtool links --format jsonl"),
     "doctor": HelpExamples("install", "mbtool doctor", "mbtool doctor --json"),

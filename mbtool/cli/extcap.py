@@ -175,7 +175,7 @@ def _capture(fifo: str, options: LineOptions) -> None:
     from mbtool.core import OutputError, SerialLink, UsageError
     from mbtool.core.errors import reason_of
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.ports.allowed_peers import THIS_MACHINE
+    from mbtool.ports.tcp_listener import THIS_MACHINE
     from mbtool.workflows.extcap import LivePackets
     from mbtool.workflows.sniff import with_settings
 

@@ -102,12 +102,14 @@ def inventory(
     from mbtool.core import UsageError
     from mbtool.version import __version__
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
+    from mbtool.workflows.shared.named_files import named_files
 
+    files, baseline = named_files(files), named_files(baseline or ())
     options = InventoryOptions(
         reading=source.read(device, raw=raw, silences=silences),
         wanted=None if where is None else condition(where),
     )
-    demand_other_file([*files, *(baseline or ())], output)
+    demand_other_file([*files, *baseline], output)
     path = named_file(output)
     chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
     if baseline and chosen in _WITHOUT_CHANGES:

@@ -12,9 +12,13 @@ if TYPE_CHECKING:
     from mbtool.cli.options import PortOptions, TcpPorts
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
+
+_MOST_WAIT_S = 7 * 86_400
+_TOLD_S = 30.0
+"""Where standard error is no terminal, the search for settings is told of each so many seconds."""
 
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
@@ -25,7 +29,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
-    from mbtool.workflows.shared.reading import DEFAULT_PORT
+    from mbtool.core.link_spec import MODBUS_PORT
 
     given = options.tcp_ports()
     if (
@@ -34,7 +38,26 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
         and not any(isinstance(one, InterfaceLink) for one in links)
     ):
         say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
-    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
+    return given if given.ports else given._replace(ports=[MODBUS_PORT])
+
+
+def found_settings(links: Sequence[LinkSpec], wait: str | None) -> list[LinkSpec]:
+    """Return the links; for one with @auto, find its settings by listening, and tell the user.
+
+    `wait` is the text of --wait, the longest time to listen. Raises UsageError if it is no time, or
+    if no link has @auto; LinkError if no settings are found.
+    """
+    from mbtool.cli.talk import say, shown_progress
+    from mbtool.core import AutoLink, UsageError
+    from mbtool.core.moments import SECOND_NS, parse_duration
+    from mbtool.workflows.sniff import with_settings
+
+    most_ns = _MOST_WAIT_S * SECOND_NS
+    wait_ns = None if wait is None else parse_duration(wait, "--wait", SECOND_NS, most_ns)
+    if wait is not None and not any(isinstance(one, AutoLink) for one in links):
+        raise UsageError("--wait is for a link with @auto, and there is none")
+    with shown_progress(_TOLD_S) as show:
+        return with_settings(links, say, show, None if wait_ns is None else wait_ns / SECOND_NS)
 
 
 def allowed_networks(
@@ -48,8 +71,7 @@ def allowed_networks(
     UsageError for a text that is no network, and if networks or limits are given without a tap.
     """
     from mbtool.core import TapLink, UsageError
-    from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.ports.connection_limits import ConnectionLimits
+    from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
     if networks and not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")

@@ -43,7 +43,7 @@ class ModemOptions(OptionGroup):
         Raises UsageError if states are chosen but no link is a serial line.
         """
         from mbtool.core import SerialLink, UsageError
-        from mbtool.core.modem_lines import ModemLine, ModemLines
+        from mbtool.core.serial_format import ModemLine, ModemLines
 
         chosen = ModemLines(*(ModemLine(one or ModemLine.RAISED) for one in (self.dtr, self.rts)))
         if chosen != ModemLines() and not any(isinstance(link, SerialLink) for link in links):

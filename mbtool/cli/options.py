@@ -66,6 +66,24 @@ DeviceOption = Annotated[
         "devices) or the path of a TOML file. Repeatable.",
     ),
 ]
+TypesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--types",
+        metavar="REFERENCE:TYPE",
+        help="Read registers of slaves without a profile as numbers: hr10:f32cdab, "
+        "Flow=40011:i16, 'holding 0..9:u32', hr20:str8. Repeatable.",
+    ),
+]
+GuessedTypesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--types",
+        metavar="REFERENCE:TYPE|off",
+        help="Read registers of slaves without a profile as numbers: hr10:f32cdab. Registers that "
+        "are surely one number are shown as one, marked with ?; off shows the words. Repeatable.",
+    ),
+]
 EventsOption = Annotated[
     EventChoice | None,
     typer.Option(
@@ -102,6 +120,15 @@ TopicPerPointOption = Annotated[
 ]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
+]
+WaitOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wait",
+        metavar="TIME",
+        help="With @auto: listen at most so long for the settings. [default: 15min, and 1min if "
+        "nothing is heard]",
+    ),
 ]
 RawOption = Annotated[
     bool,
@@ -168,8 +195,8 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--port",
             metavar="PORT|any",
-            help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by "
-            "what is said there. Repeatable. [default: 502]",
+            help="A TCP or UDP port of slaves, or any: find Modbus/TCP and RTU over TCP at all "
+            "ports by what is said there. Repeatable. [default: 502]",
         ),
     ] = None
     rtu_port: Annotated[
@@ -177,7 +204,7 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--rtu-port",
             metavar="PORT",
-            help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
+            help="A TCP or UDP port of slaves that speak RTU over it. Repeatable.",
         ),
     ] = None
 
@@ -221,8 +248,9 @@ class SourceOptions(PortOptions):
         *,
         raw: bool = False,
         silences: SilenceOptions | None = None,
+        types: Sequence[str] | None = None,
     ) -> ReadingOptions:
-        """Combine these options with the values of --device, --raw and the silences.
+        """Combine these options with the values of --device, --raw, --types and the silences.
 
         None stands for an option, or a group of options, that the command does not have. Raises
         UsageError for a text that is not understood, ProfileError for a profile that is not found
@@ -231,7 +259,7 @@ class SourceOptions(PortOptions):
         from mbtool.workflows.shared.reading import ReadingOptions
 
         ports = self.tcp_ports()
-        devices, line = assignments(device), file_line(self.link)
+        devices, line = assignments(device, types), file_line(self.link)
         t1_5, t3_5, timeout = (None, None, None) if silences is None else silences.read()
         return ReadingOptions(
             **ports._asdict(),
@@ -344,15 +372,26 @@ def _tcp_port(option: str, text: str, others: str = "") -> int:
     return parse_number(text, "TCP port", _TCP_PORTS, f"Invalid value for '{option}'", others)
 
 
-def assignments(devices: Sequence[str] | None) -> Assignments:
-    """Load the profiles that --device assigns to slaves.
+def assignments(devices: Sequence[str] | None, types: Sequence[str] | None = None) -> Assignments:
+    """Load the profiles that --device assigns to slaves; all others have the points of --types.
 
     Raises UsageError for a text that is not WHO=PROFILE, ProfileError for a profile that is not
     found or is wrong.
     """
-    from mbtool.devices import Assignments, parse_assignment
+    from mbtool.devices import Assignment, Assignments, Who, parse_assignment
 
-    return Assignments(parse_assignment(one) for one in devices or ())
+    assigned = [parse_assignment(one) for one in devices or ()]
+    if types and all(one.who != Who() for one in assigned):
+        from mbtool.workflows.shared.typed_references import typed_points, with_points
+
+        assigned.append(Assignment(Who(), with_points(None, typed_points(types))))
+    return Assignments(assigned)
+
+
+def given_types(types: Sequence[str] | None) -> tuple[list[str], bool]:
+    """Return the types that --types gives, and False if `off` is among its values: no guesses."""
+    given = [one for one in types or () if one.strip().lower() != "off"]
+    return given, len(given) == len(types or ())
 
 
 def condition(where: str | None) -> Where:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table
     from mbtool.columns.table_counts import TransactionCounts
+    from mbtool.columns.value_table import ProfileNamed
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
@@ -237,6 +238,8 @@ def open_output(
     make_output: MakeOutput | None = None,
     is_summed: bool = True,
     if_interrupted: str = NOTHING_WRITTEN,
+    points: str | None = None,
+    profile_named: ProfileNamed = lambda _: None,
 ) -> Iterator[RecordOutput]:
     """Open an output. When its context ends, it is flushed and, if `is_summed`, a summary printed.
 
@@ -247,9 +250,10 @@ def open_output(
     `in_place` it is overwritten at once, for commands that only Ctrl-C ends. `make_output` makes
     another output than RecordOutput, such as one that does not wait for its reader
     (live_output.py). `if_interrupted` is printed if Ctrl-C comes before the first record, except
-    where an old file was emptied. Raises UsageError if the file cannot be written or options
-    contradict each other, and OutputError if standard output is closed and no log keeps the
-    records.
+    where an old file was emptied. `points` is a second file for --format parquet, which gets the
+    values of the transactions; `profile_named` returns a profile for them by its name. Raises
+    UsageError if the file cannot be written or options contradict each other, and OutputError if
+    standard output is closed and no log keeps the records.
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
@@ -263,17 +267,25 @@ def open_output(
         if path is None:
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
+    if points is not None and (chosen is not Format.PARQUET or points == path):
+        raise UsageError("--points names a second file beside -o OUT.parquet")
     stays = not in_place and is_old(path)
     if in_place and is_old(path):
         if_interrupted = f"interrupted; {path} is empty now"
     broken: InputError | None = None
-    with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite, in_place=in_place) as (
-        file,
-        name,
-    ):
+    with ExitStack() as files:
+        file, name = files.enter_context(
+            opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite, in_place=in_place)
+        )
+        values = None
+        if points is not None:
+            from mbtool.columns.parquet import ValuesFile
+
+            beside = opened(points, lambda: None, overwrite=overwrite, in_place=in_place)
+            values = ValuesFile(files.enter_context(beside)[0].buffer, profile_named)
 
         def make_printer(to: TextIO) -> Printer:
-            return printer_for(chosen, to, profile_for, table)
+            return printer_for(chosen, to, profile_for, table, values)
 
         with told_as_lost(name):
             make_output = make_output or RecordOutput

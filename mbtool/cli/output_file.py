@@ -22,6 +22,19 @@ def is_old(path: str | None) -> bool:
     return path is not None and os.path.isfile(path)
 
 
+def demand_writable(file: Path) -> None:
+    """Raise UsageError, before a long run, if a file cannot be written; leave no file behind."""
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        return  # Opening a pipe would wait until somebody reads it.
+    was_there = file.exists() or file.is_symlink()
+    try:
+        file.open("ab").close()
+        if not was_there:
+            file.unlink()
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be written: {reason_unwritten(file, error)}") from error
+
+
 @contextmanager
 def kept_told(path: str | None) -> Iterator[None]:
     """Tell the user that an existing file `path` stays as it was if InputError ends the context."""

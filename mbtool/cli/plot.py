@@ -13,6 +13,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    GuessedTypesOption,
     OverwriteOption,
     RawOption,
     SilenceOptions,
@@ -48,6 +49,7 @@ def plot(
     ],
     *,
     device: DeviceOption = None,
+    types: GuessedTypesOption = None,
     where: WhereOption = None,
     start: StartOption = None,
     end: EndOption = None,
@@ -67,16 +69,18 @@ def plot(
 
     A value holds until the next one is read or written. Pictures need mbtool[plot].
     """
-    from mbtool.cli.options import condition
+    from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import demand_standard_output, say_if_empty
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
     files, texts = _divided(arguments)
+    files = named_files(files)
     if output is not None and not texts:
         raise UsageError("name what to plot behind the files; without --output they are listed")
     if output is not None and as_json:
@@ -89,8 +93,9 @@ def plot(
     else:
         demand_standard_output()
     window = TimeWindow.parse(start, end)
-    options = source.read(device, raw=raw, silences=silences)
-    run = PlotRun(files, options, texts, window, condition(where))
+    given, guesses = given_types(types)
+    options = source.read(device, raw=raw, silences=silences, types=given)
+    run = PlotRun(files, options, texts, window, condition(where), guesses=guesses)
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
     with interruption_told():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.talk import Interrupt
+    from mbtool.devices import PointValue, Profile
+    from mbtool.views.polled_values import PolledValues
     from mbtool.workflows.ask import Asker, Changes, PollTally
 
 _LEAST_NS = 1_000_000
@@ -45,23 +48,28 @@ def poll(
     """Read from a slave again and again, as its master, until Ctrl-C.
 
     The first answers are shown whole; from then on a row says which values have changed. At the end
-    there is a summary. With --count, exit 1 when a request gets an exception or no answer.
+    there is a summary. --format csv prints a table for a spreadsheet: a row for each round, with
+    its time and all values. With --count, exit 1 when a request gets an exception or no answer.
     """
     from mbtool.cli.talk import interruptible, say
     from mbtool.core.moments import parse_duration
+    from mbtool.views.polled_values import PolledValues
     from mbtool.workflows.ask import Changes, PollTally
 
     period_ns = parse_duration(every, "--every", _LEAST_NS, _MOST_NS)
-    asked, options = ask.read(link), table.read()
-    requests = [pdu for each in references for pdu in asked.wording.reads(each)]
+    asked, options = ask.read(link, references), table.read()
+    requests = [pdu for each in asked.references for pdu in asked.wording.reads(each)]
     tally = PollTally()
     changes = None if all_ else Changes(asked.profile)
+    values = PolledValues(requests) if format_ is Format.CSV else None
+    shown = Format.TABLE if values is not None else format_
     with (
         interruptible() as interrupt,
-        asked.open(format_, options, is_summed=False) as (asker, out),
+        asked.open(shown, options, is_summed=False) as (asker, out),
     ):
         say(f"asking unit {asked.unit} at {asked.link} every {every}; Ctrl-C ends")
         polling = Polling(asker, out, requests, changes, tally, is_table=format_ is Format.TABLE)
+        polling.values, polling.profile = values, asked.profile
         polling.run(interrupt, period_ns, count)
     say(tally.sentence())
     if interrupt.asked:
@@ -95,6 +103,11 @@ class Polling:
         self._changes = changes
         self._tally = tally
         self._is_table = is_table
+        self.values: PolledValues | None = None
+        """Makes a table of values; None to print transactions."""
+        self.profile: Profile | None = None
+        self._round: dict[bytes, list[PointValue]] = {}
+        self._round_ns = 0
 
     def run(self, interrupt: Interrupt, period_ns: int, count: int | None) -> None:
         """Send all requests once in each round, until Ctrl-C or for `count` rounds.
@@ -110,15 +123,27 @@ class Polling:
                 if not interrupt.asked:
                     self._ask(pdu)
             self._out.wait()
+            if self.values is not None and self._round_ns:
+                _write(self.values.lines(self._round_ns, self._round))
+                self._round, self._round_ns = {}, 0
             rounds += 1
             now_ns = time.monotonic_ns()
             due_ns = max(due_ns + period_ns, now_ns)
             if rounds != count:
                 interrupt.wait((due_ns - now_ns) / 1e9)
+        if self.values is not None:
+            _write(self.values.rest())
 
     def _ask(self, pdu: bytes) -> None:
+        from mbtool.workflows.ask import points_of
+
         transaction, events = self._asker.ask(pdu)
         self._tally.add(transaction)
+        if self.values is not None:
+            self._round_ns = self._round_ns or transaction.start_ns
+            if transaction.response_values is not None:
+                self._round[pdu] = points_of(transaction, self.profile)
+            return
         for event in events:
             self._out.add(event)
         if self._changes is None:
@@ -129,3 +154,10 @@ class Polling:
             self._out.skip()
         else:
             self._out.add(changed if self._is_table else transaction)
+
+
+def _write(text: str) -> None:
+    """Write lines to standard output at once."""
+    if text:
+        typer.echo(text, nl=False)
+        sys.stdout.flush()

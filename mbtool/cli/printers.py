@@ -14,7 +14,7 @@ from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_json
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mbtool.columns.parquet import ParquetRows
+    from mbtool.columns.parquet import ParquetRows, ValuesFile
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.decode.usual_run import UsualRun
@@ -48,11 +48,16 @@ class Printer(ABC):
 
 
 def printer_for(
-    format_: Format, file: TextIO, profile_for: ProfileFor, table: TableOptions | None = None
+    format_: Format,
+    file: TextIO,
+    profile_for: ProfileFor,
+    table: TableOptions | None = None,
+    values: ValuesFile | None = None,
 ) -> Printer:
     """Return a printer that writes records to `file` in the format.
 
-    `profile_for` returns the device profile for a transaction; `table` has the options of a table.
+    `profile_for` returns the device profile for a transaction; `table` has the options of a table,
+    and `values` is a second file for the values, beside a Parquet file.
     """
     match format_:
         case Format.TABLE:
@@ -62,7 +67,7 @@ def printer_for(
         case Format.CSV:
             return _CsvPrinter(file)
         case Format.PARQUET:
-            return ParquetPrinter(file)
+            return ParquetPrinter(file, values)
         case Format.IPAL:
             return _IpalPrinter(file)
 
@@ -177,10 +182,11 @@ class _IpalPrinter(Printer):
 
 
 class ParquetPrinter(Printer):
-    """Writes transactions to a Parquet file."""
+    """Writes transactions to a Parquet file, and their values to another."""
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, values: ValuesFile | None = None) -> None:
         self._file = file
+        self.values = values
         self.is_elsewhere = False
         """True if another process writes the file; then this printer must not close it."""
 
@@ -188,7 +194,7 @@ class ParquetPrinter(Printer):
     def _rows(self) -> ParquetRows:
         from mbtool.columns.parquet import ParquetRows
 
-        return ParquetRows(self._file.buffer)
+        return ParquetRows(self._file.buffer, self.values)
 
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
@@ -204,11 +210,11 @@ class ParquetPrinter(Printer):
 
 
 def demand_columns(what: str = "--format parquet", extra: str = "columns") -> None:
-    """Raise UsageError if the packages that Parquet needs are not installed.
+    """Raise UsageError if pyarrow, which Parquet needs, is not installed.
 
     The error says that `what`, an option, needs mbtool's extra named `extra`.
     """
-    if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+    if find_spec("pyarrow") is None:
         from mbtool.core.extras import missing_extra
 
         raise missing_extra(what, extra)

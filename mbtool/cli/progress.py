@@ -8,34 +8,63 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.cli.talk import escaped
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.read_all import Work
 
 T = TypeVar("T")
+
+
+@dataclass
+class Files:
+    """Work that takes one file after the other."""
+
+    files: int
+    done: int = 0
+
+    @property
+    def fraction(self) -> float | None:
+        return self.done / self.files if self.files else None
+
+    @property
+    def progress_text(self) -> str:
+        return f"file {min(self.done + 1, self.files)} of {self.files}"
+
+    @property
+    def noun(self) -> str:
+        return "files"
+
+    def counted(self, results: Iterable[T]) -> Iterator[T]:
+        """Yield the results, one for each file, and count them."""
+        for result in results:
+            self.done += 1
+            yield result
+
 
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
 """With single records, the clock is read at every 100th, as reading it is slow. A record that is a
-block of rows is so rare that the clock is read at each."""
+block of rows, or a whole file, is so rare that the clock is read at each."""
 _PAUSE_S = 0.1
 """The bar is updated at most this often, in s."""
 
 
-def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
-    """Yield `records`, and show on a terminal how much of the files has been read.
+def with_progress(work: Work, records: Iterator[T]) -> Iterator[T]:
+    """Yield `records`, and show on a terminal how much of the work is done.
 
-    `reading` is what yields the records; it knows the share of the bytes read so far.
+    `work` is what yields the records, such as a reading; a record is a transaction, or a block of
+    them, or with `Files` the result of a file.
     """
-    return _shown(reading, records) if sys.stderr.isatty() else records
+    return _shown(work, records) if sys.stderr.isatty() else records
 
 
-def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
+def _shown(work: Work, records: Iterator[T]) -> Iterator[T]:
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import (
@@ -55,14 +84,15 @@ def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     with ExitStack() as shown:
         is_shown = False
         number, next_s = 0, began_s + _APPEARS_S
+        every = 1 if isinstance(work, Files) else _LOOK_EVERY
         for record in records:
             rows = getattr(record, "row_count", 1)
             number += rows
-            if (rows != 1 or number % _LOOK_EVERY == 0) and (now_s := time.monotonic()) >= next_s:
+            if (rows != 1 or number % every == 0) and (now_s := time.monotonic()) >= next_s:
                 next_s = now_s + _PAUSE_S
                 rate = number / (now_s - began_s)
-                told = f"{reading.progress_text}, {rate:,.0f} transactions/s"
-                bar.update(task, completed=reading.fraction, description=escape(escaped(told)))
+                told = f"{work.progress_text}, {rate:,.0f} {work.noun}/s"
+                bar.update(task, completed=work.fraction, description=escape(escaped(told)))
                 if not is_shown:
                     shown.enter_context(bar)
                     is_shown = True

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import AllowOption, DeviceOption, RawOption, SourceOptions, WhereOption
@@ -24,8 +25,12 @@ from mbtool.cli.replay_options import (
 @takes_groups
 def replay(
     context: typer.Context,
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A log or a packet capture, as for decode.")
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE",
+            help="A log or a packet capture, as for decode. Several go with --learn.",
+        ),
     ],
     *,
     chosen: SideOptions,
@@ -53,16 +58,21 @@ def replay(
     At a terminal: space pauses, s or right steps, + and - or up and down change the speed, q ends.
     """
     from mbtool.cli.options import condition
-    from mbtool.core import parse_link
+    from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
 
     side, links = chosen.side_and_links()
     demand_side(context, side)
     reading = source.read(device, raw=raw)
     shared = pace.shared(reading, condition(where))
+    file = files[0]
+    if len(files) > 1 and (as_master.learn is None or as_master.report is not None):
+        raise UsageError(
+            f"{files[1]}: one FILE is played; several go with --as-master --learn, without --report"
+        )
     if side == AS_SLAVE:
         from mbtool.cli.replay_slave import play_as_slave
-        from mbtool.ports.allowed_peers import AllowedPeers
+        from mbtool.ports.tcp_listener import AllowedPeers
 
         slave_options = as_slave.read(shared, is_loop=pace.loop)
         peers = AllowedPeers.parse(allow or (), connections.read())
@@ -77,4 +87,10 @@ def replay(
         from mbtool.cli.replay_master import play_as_master
 
         master_options = as_master.read(shared, is_loop=pace.loop)
-        play_as_master(file, link, master_options, as_master)
+        code = exit_codes.DONE
+        for each in files:
+            code = max(code, play_as_master(each, link, master_options, as_master))
+            if code == exit_codes.INTERRUPTED:
+                break
+        if code:
+            raise typer.Exit(code)

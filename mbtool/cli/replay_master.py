@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import msgspec
-import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
 from mbtool.cli.output import told_as_lost
+from mbtool.cli.output_file import demand_writable
 from mbtool.cli.output_path import demand_other_file
 from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
-from mbtool.core.errors import reason_unwritten
 from mbtool.core.wording import counted, milliseconds, plural
+from mbtool.devices import DifferenceKind
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
-from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit
+from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit, request_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,16 +31,16 @@ if TYPE_CHECKING:
     from mbtool.workflows.replay_master import MasterOptions, Report
 
 SIDES = ("recorded", "answered")
+_NAMED = 3
+"""So many requests whose answers came too late are named in the last line."""
 
 
-def play_as_master(
-    file: str, to: LinkSpec, options: MasterOptions, chosen: AsMasterOptions
-) -> None:
+def play_as_master(file: str, to: LinkSpec, options: MasterOptions, chosen: AsMasterOptions) -> int:
     """Send the requests of the recording `file` to the slave `to`, and compare its responses.
 
-    Prints the responses that differ from the recorded ones, and exits with 1 if one does. The
-    result is written to the file of --report, even if the slave cannot be reached; then LinkError
-    is raised. The ranges of registers that differ are added to the file of --learn.
+    Prints the responses that differ from the recorded ones, and returns the exit code: 1 if one
+    does. The result is written to the file of --report, even if the slave cannot be reached; then
+    LinkError is raised. The ranges of registers that differ are added to the file of --learn.
     """
     report_file, learn = chosen.report, chosen.learn
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
@@ -49,7 +49,7 @@ def play_as_master(
     for written, inputs in ((report_file, [file, *lists]), (learn, [file])):
         if written is not None:
             demand_other_file(inputs, str(written))
-            _demand_writable(written)
+            demand_writable(written)
     run = MasterRun(file, options, say, with_progress)
     if learn is not None and learn.is_file():
         demand_list(learn, run)
@@ -71,22 +71,8 @@ def play_as_master(
     if learn is not None:
         add_ranges(learn, report.learned)
     if was_stopped:
-        raise typer.Exit(exit_codes.INTERRUPTED)
-    if report.differences:
-        raise typer.Exit(exit_codes.NO)
-
-
-def _demand_writable(file: Path) -> None:
-    """Raise UsageError, before a long run, if a file cannot be written; leave no file behind."""
-    if file.exists() and not (file.is_file() or file.is_dir()):
-        return  # Opening a pipe would wait until somebody reads it.
-    was_there = file.exists() or file.is_symlink()
-    try:
-        file.open("ab").close()
-        if not was_there:
-            file.unlink()
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be written: {reason_unwritten(file, error)}") from error
+        return exit_codes.INTERRUPTED
+    return exit_codes.NO if report.differences else exit_codes.DONE
 
 
 def _write(file: Path, text: str) -> None:
@@ -96,7 +82,11 @@ def _write(file: Path, text: str) -> None:
 
 def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOptions) -> str:
     requests = counted(len(run.script.steps), "request", ",")
-    units = ", ".join(map(str, sorted(run.script.units))) or "all"
+    named = (
+        f"{one} (as {options.units[one]})" if one in options.units else str(one)
+        for one in sorted(run.script.units)
+    )
+    units = ", ".join(named) or "all"
     unit = plural(len(run.script.units), "unit")
     lasts = "as fast as answers come"
     if options.rate is not None:
@@ -110,10 +100,22 @@ def _outcome(report: Report) -> str:
         asked = interrupted_text(report)
     elif report.not_asked:
         asked = f"{asked}, {report.not_asked:,} not asked"
-    text = f"{asked}; {counted(report.different, 'answer', ',')} not as recorded"
+    late = [one for one in report.differences if one.kind is DifferenceKind.LATENCY]
+    failed = []
+    if report.different or not (late or report.different_connections):
+        failed.append(f"{counted(report.different, 'answer', ',')} not as recorded")
+    if late:
+        named = [f"unit {one.unit} {request_text(one.what, one.reference or '')}" for one in late]
+        more = f" and {len(late) - _NAMED:,} more" if len(late) > _NAMED else ""
+        failed.append(f"answers later than allowed to {', '.join(named[:_NAMED])}{more}")
     if report.different_connections:
         wrong = report.different_connections
-        text += f"; {wrong:,} of {counted(report.connections, 'connection', ',')} not as recorded"
+        failed.append(
+            f"{wrong:,} of {counted(report.connections, 'connection', ',')} not as recorded"
+        )
+    text = "; ".join((asked, *failed))
+    if report.damaged:
+        text += f"; {counted(report.damaged, 'answer', ',')} not compared, damaged in the recording"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
     if report.uncompared_latencies:

@@ -273,6 +273,23 @@ class AsMasterOptions(OptionGroup):
 
     heading: ClassVar[str] = "As the master"
 
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--unit",
+            metavar="RECORDED=UNIT",
+            help="As the master: ask another unit than the recorded one, as in 7=1. Repeatable.",
+        ),
+    ] = None
+    tolerate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerate",
+            metavar="NAME=AMOUNT",
+            help="As the master: by how much a value may differ, in its unit: 'Temperature=0.5', "
+            "float32=2%, HR400010..400019=1; Energy=counter may have grown. Repeatable.",
+        ),
+    ] = None
     ignore: Annotated[
         list[str] | None,
         typer.Option(
@@ -350,7 +367,21 @@ class AsMasterOptions(OptionGroup):
             ignore=[*(self.ignore or ()), *ranges_of(self.ignore_from or ())],
             learns=self.learn is not None,
             tolerance=tolerance,
+            tolerate=self.tolerate or (),
+            units=self._units(),
         )
+
+    def _units(self) -> dict[int, int]:
+        from mbtool.core import UsageError
+        from mbtool.core.numbers import parse_unit
+
+        units = {}
+        for text in self.unit or ():
+            recorded, equals, asked = text.partition("=")
+            if not equals:
+                raise UsageError(f"--unit {text}: write RECORDED=UNIT, as in 7=1")
+            units[parse_unit(recorded, "--unit")] = parse_unit(asked, "--unit")
+        return units
 
 
 _SIDE_OF_OPTION = {

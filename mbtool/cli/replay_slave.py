@@ -14,21 +14,27 @@ from mbtool.cli.progress import with_progress
 from mbtool.cli.record_order import start_ns
 from mbtool.cli.serve import serve, while_read
 from mbtool.cli.talk import say
-from mbtool.core.wording import plural
+from mbtool.core.wording import counted, plural
+from mbtool.devices import write_reference
+from mbtool.modbus import FUNCTIONS
 from mbtool.replay import AnsweredFrom
 from mbtool.workflows.replay_site import SiteRun
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections import Counter
+    from collections.abc import Iterator, Mapping, Sequence
 
     from mbtool.cli.keys import Keyboard
-    from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.replay import Progress
+    from mbtool.devices import Profile
+    from mbtool.ports.tcp_listener import AllowedPeers
+    from mbtool.replay import Progress, RequestKind
     from mbtool.slave.shells import OnExchange
     from mbtool.workflows.replay_site import PlayedSite, SitePlayer
     from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
+_MOST_KINDS = 10
+"""At most so many different requests that were never recorded are listed for a slave."""
 _NAME_WIDTH = 21
 """Width of the column of slaves in characters: enough for an IPv4 address and a port."""
 
@@ -72,7 +78,12 @@ class Exchanges:
     def of(self, player: SitePlayer) -> OnExchange:
         from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
-        monitor = SlaveMonitor(None, player.link, player.run.profile_of)
+        monitor = SlaveMonitor(
+            None,
+            player.link,
+            player.run.profile_of,
+            is_recorded=lambda unit, pdu: player.run.is_recorded(unit, pdu, player.link),
+        )
         monitor.on_link(player.name)
         self._monitors[player.name] = monitor
         return monitor.take
@@ -170,3 +181,26 @@ def _say_counts(played: PlayedSite) -> None:
     for name, each in counts:
         cells = "".join(f"{each[one]:>{len(one) + 2},}" for one in kinds)
         say(f"{name:{_NAME_WIDTH}}{each.total():>8,}{cells}")
+    for player, slave in played.played:
+        lacking = slave.unrecorded()
+        if lacking:
+            whose = f" of {player.name}" if len(played.played) > 1 else ""
+            say(f"never recorded{whose}: {_kinds_text(lacking, player.run.profile_of)}")
+
+
+def _kinds_text(lacking: Counter[RequestKind], profile_of: Mapping[int, Profile]) -> str:
+    """Return the requests that came and were never recorded, those that came most often first."""
+    units = {kind.unit for kind in lacking}
+    texts = []
+    for kind, count in lacking.most_common(_MOST_KINDS):
+        table = FUNCTIONS[kind.code].table if kind.code in FUNCTIONS else None
+        what = ""
+        if table is not None and kind.address is not None:
+            profile = profile_of.get(kind.unit)
+            is_write = FUNCTIONS[kind.code].writes
+            where = write_reference(profile, table, kind.address, kind.quantity, writing=is_write)
+            what = f" {where}"
+        unit = f"unit {kind.unit} " if len(units) > 1 else ""
+        texts.append(f"{unit}{kind.code:02X}{what} ({counted(count, 'time', ',')})")
+    more = len(lacking) - len(texts)
+    return "; ".join(texts) + (f"; and {counted(more, 'other request', ',')}" if more else "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,12 +11,20 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    GuessedTypesOption,
     OverwriteOption,
     RawOption,
     SilenceOptions,
     SourceOptions,
     StartOption,
+    WhereOption,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.views.report.contents import ReportWords
+    from mbtool.views.report.folder_page import FileVerdict
 
 _OTHER_SUFFIXES = (".pdf", ".docx", ".odt", ".md", ".txt", ".csv", ".json", ".xml")
 """Suffixes that are refused, as other programs would take the page for something else."""
@@ -25,14 +33,28 @@ _OTHER_SUFFIXES = (".pdf", ".docx", ".odt", ".md", ".txt", ".csv", ".json", ".xm
 @takes_groups
 def report(
     files: Annotated[
-        list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
+        list[str],
+        typer.Argument(
+            metavar="FILE",
+            help="Captures and logs, as for decode. A folder gives a page with a line for each "
+            "capture in it, the worst first.",
+        ),
     ],
     *,
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="OUT", help="The page to write: R.html.")
     ],
     overwrite: OverwriteOption = False,
+    title: Annotated[
+        str, typer.Option("--title", metavar="TEXT", help="A title of your own.")
+    ] = "",
+    note: Annotated[
+        str,
+        typer.Option("--note", metavar="TEXT", help="A note for the reader, under the verdict."),
+    ] = "",
     device: DeviceOption = None,
+    types: GuessedTypesOption = None,
+    where: WhereOption = None,
     against: Annotated[
         str | None,
         typer.Option(
@@ -69,6 +91,7 @@ def report(
     It has the verdict, charts, findings and transactions, and needs no network and no other file.
     docs/report.md explains it.
     """
+    from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import opened, told_as_lost
     from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
@@ -76,10 +99,17 @@ def report(
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.core.wording import counted
+    from mbtool.views.report.contents import ReportWords
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
+    from mbtool.workflows.report_folder import file_verdicts
+    from mbtool.workflows.shared.named_files import is_folder, named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
+    folder = files[0] if len(files) == 1 and is_folder(files[0]) else None
+    if folder is not None and (against is not None or everything):
+        raise UsageError("--against and --all go with files, and not with a folder")
+    files = named_files(files)
     if against is not None and len(files) > 1:
         raise UsageError("--against goes with one FILE; join several with mbtool convert")
     if against is not None and (start is not None or end is not None):
@@ -89,14 +119,28 @@ def report(
     if path is not None and Path(path).suffix.lower() in _OTHER_SUFFIXES:
         page = Path(path).with_suffix(".html")
         raise UsageError(f"{path}: the page is HTML: write -o {page}; a browser makes a PDF of it")
+    given, guesses = given_types(types)
+    options = source.read(device, raw=raw, silences=silences, types=given)
+    codes = CodeFilter.parse((), ignore or ())
+    wanted = None if where is None else condition(where)
+    words = ReportWords(title, note, where or "")
+    if folder is not None:
+        verdicts = file_verdicts(
+            folder, files, options, codes, lambda: TimeWindow.parse(start, end), wanted
+        )
+        _write_folder(folder, files, verdicts, words, path, overwrite=overwrite)
+        return
     with left_told(path):
         run = ReportRun(
             files,
-            source.read(device, raw=raw, silences=silences),
-            CodeFilter.parse((), ignore or ()),
+            options,
+            codes,
             TimeWindow.parse(start, end),
+            wanted=wanted,
+            words=words,
             everything=everything,
         )
+        run.guesses = guesses
         run.demand_codes()
         run.reading.demand_files()
         demand_new(path, overwrite=overwrite)
@@ -116,3 +160,39 @@ def report(
         say(f"{done} -> {path} ({len(text) / 1e6:.1f} MB)")
     if run.error is not None:
         raise run.error
+
+
+def _write_folder(
+    folder: str,
+    files: Sequence[str],
+    verdicts: Iterator[FileVerdict],
+    words: ReportWords,
+    path: str | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write the page with a line for each of `files` to `path`, None for standard output."""
+    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.output_file import left_told
+    from mbtool.cli.output_path import demand_new
+    from mbtool.cli.progress import Files, with_progress
+    from mbtool.cli.talk import say
+    from mbtool.core import InputError
+    from mbtool.core.wording import counted
+    from mbtool.views.report.folder_page import LEVELS, UNREAD
+    from mbtool.workflows.report_folder import page_of
+
+    work = Files(len(files))
+    with left_told(path):
+        demand_new(path, overwrite=overwrite)
+        found = list(with_progress(work, work.counted(verdicts)))
+        text = page_of(folder, found, words)
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+            file.write(text)
+            file.flush()
+    levels = [one.level for one in found]
+    told = [f"{levels.count(level):,} {LEVELS[level]}" for level in LEVELS if level in levels]
+    if path is not None:
+        say(f"{counted(len(found), 'file', ',')}: {', '.join(told)} -> {path}")
+    if UNREAD in levels:
+        raise InputError(f"{counted(levels.count(UNREAD), 'file', ',')} could not be read")

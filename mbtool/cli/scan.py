@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import ipaddress
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, RecordOption, listen_ns
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import ListFormat, OverwriteOption
+from mbtool.cli.options import ListFormat
 from mbtool.cli.tls_options import TargetTlsOptions
 
 if TYPE_CHECKING:
@@ -29,6 +28,9 @@ _UNITS = range(256)
 _ADDRESSES = range(0x10000)
 _NETWORK = re.compile(r"(?P<scheme>(?:rtu\+)?tcp:)(?P<network>[0-9.]+/\d+)(?P<port>:\d+)?")
 _MOST_HOSTS = 1024
+_HEXADECIMAL = re.compile(r"0x[0-9a-f]{1,4}", re.IGNORECASE)
+_MOST_RESUMED_BYTES = 16 << 20
+"""A larger file of --resume is refused: this program wrote none."""
 _WORDS = {
     "holding_registers": "holding",
     "input_registers": "input",
@@ -57,7 +59,7 @@ def scan(
         typer.Option(
             "--addresses",
             metavar="RANGE",
-            help="The addresses to read in each table, on the wire, from 0.",
+            help="The addresses to read in each table, on the wire, from 0: 0..9999, 0x10..0x1f.",
         ),
     ] = "0..9999",
     units_only: Annotated[
@@ -100,7 +102,11 @@ def scan(
         str | None,
         typer.Option("-o", "--output", metavar="FILE.toml", help="Write a profile of the unit."),
     ] = None,
-    overwrite: OverwriteOption = False,
+    record: RecordOption = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option("--overwrite", help="Replace the files of --output and --record, if any."),
+    ] = False,
     format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
     tls: TargetTlsOptions,
 ) -> None:
@@ -109,36 +115,43 @@ def scan(
     Each unit is asked for a register, an echo and its identification; any answer counts, also a
     refusal. Only reads are sent, never a write. Exit 1 if no unit answers.
     """
+    from mbtool.cli.ask_options import recorded
     from mbtool.cli.profile_files import demand_new
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import LinkError, UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
+    from mbtool.logs.opening import check_log_path
+    from mbtool.master.links import open_master
 
     numbers = parse_ranges(units, "--units", _UNITS)
     (asked_addresses, *more) = _spans(addresses, "--addresses", _ADDRESSES)
     if more:
         raise UsageError(f"--addresses {addresses}: name one range, as in 0..9999")
     specs = [parse_link(one, ANSWERED) for text in links for one in _hosts(text)]
-    if len(specs) > 1 and (resume is not None or output is not None):
-        raise UsageError("--resume and -o are for one LINK")
+    if len(specs) > 1 and (resume or output or record):
+        raise UsageError("--resume, --record and -o are for one LINK")
     if output is not None:
         demand_new(output, overwrite=overwrite)
+    if record is not None:
+        check_log_path(record, overwrite=overwrite)
     target = tls.target()
     found: list[ScanState] = []
     refused: LinkError | None = None
     with interruptible() as interrupt:
         for spec in specs:
-            state = _state(resume, spec)
+            state = _state(resume, spec, numbers, None if units_only else asked_addresses)
             try:
-                with _opened(spec, timeout, target, listen, between=between) as master:
-                    runner = _Runner(master, spec, state, interrupt, resume)
+                with (
+                    open_master(spec, round(timeout * 1e9), say, target) as master,
+                    recorded(master, spec, record, overwrite=overwrite),
+                ):
+                    master.take_line(listen_ns(listen), between=between)
+                    runner = _Runner(master, spec, state, interrupt, resume, timeout)
                     runner.run(numbers, None if units_only else asked_addresses, rate, every=every)
                     if output is not None and not interrupt.asked:
                         runner.write_profile(output, overwrite=overwrite)
             except LinkError as error:
                 refused = error
-                if len(specs) == 1:
-                    raise
             found.append(state)
             if interrupt.asked:
                 break
@@ -146,6 +159,8 @@ def scan(
     for state in found:
         for remark in state.remarks:
             say(f"mbtool: {state.link}: {remark}")
+    if refused is not None and len(specs) == 1:
+        raise refused
     count = sum(len(state.units) for state in found)
     if not count and refused is not None and len(specs) == len(found):
         say(f"mbtool: {refused}")
@@ -172,12 +187,16 @@ def _spans(text: str, option: str, allowed: range) -> list[range]:
     spans = []
     for part in text.split(","):
         first, dots, last = part.strip().partition("..")
-        begin = parse_number(first, "number", allowed, option)
-        end = parse_number(last, "number", allowed, option) if dots else begin
+        begin = parse_number(_decimal(first), "number", allowed, option)
+        end = parse_number(_decimal(last), "number", allowed, option) if dots else begin
         if end < begin:
             raise UsageError(f"{option} {part.strip()}: write the smaller number first")
         spans.append(range(begin, end + 1))
     return spans
+
+
+def _decimal(text: str) -> str:
+    return str(int(text, 16)) if _HEXADECIMAL.fullmatch(text) else text
 
 
 def _hosts(text: str) -> list[str]:
@@ -198,36 +217,68 @@ def _hosts(text: str) -> list[str]:
     return [f"{match['scheme']}{host}{match['port'] or ''}" for host in network.hosts()]
 
 
-def _opened(
-    spec: LinkSpec, timeout: float, target: object, listen: str | None, *, between: bool
-) -> MasterLink:
-    from mbtool.cli.talk import say
-    from mbtool.master.links import open_master
+def _state(
+    resume: Path | None, spec: LinkSpec, numbers: list[int], addresses: range | None
+) -> ScanState:
+    """Return what the file of --resume says, or an empty state if there is no file yet.
 
-    master = open_master(spec, round(timeout * 1e9), say, target)  # type: ignore[arg-type]
-    try:
-        master.take_line(listen_ns(listen), between=between)
-    except BaseException:
-        master.close()
-        raise
-    return master
-
-
-def _state(resume: Path | None, spec: LinkSpec) -> ScanState:
+    Raises InputError if the file is none of --resume, or is of another scan; UsageError if it
+    cannot be written.
+    """
     import msgspec
 
-    from mbtool.core import InputError, UsageError
+    from mbtool.cli.output_file import demand_writable
+    from mbtool.core import InputError
+    from mbtool.core.errors import reason_of
     from mbtool.workflows.scan import ScanState
 
+    span = None if addresses is None else (addresses.start, addresses.stop - 1)
     if resume is None or not resume.exists():
-        return ScanState(link=str(spec))
+        if resume is not None:
+            demand_writable(resume)
+        return ScanState(link=str(spec), numbers=numbers, addresses=span)
+    if not resume.is_file():
+        raise InputError(f"--resume {resume}: is no regular file")
     try:
-        state = msgspec.json.decode(resume.read_bytes(), type=ScanState)
-    except (OSError, msgspec.DecodeError) as error:
-        raise InputError(f"{resume}: is no file of --resume: {error}") from error
-    if state.link != str(spec):
-        raise UsageError(f"--resume {resume}: is of {state.link}, and {spec} is scanned")
+        with resume.open("rb") as stream:
+            raw = stream.read(_MOST_RESUMED_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"--resume {resume}: cannot be read: {reason_of(error)}") from error
+    if len(raw) > _MOST_RESUMED_BYTES:
+        raise InputError(
+            f"--resume {resume}: is longer than {_MOST_RESUMED_BYTES >> 20} MiB, so a scan did not "
+            "write it"
+        )
+    try:
+        state = msgspec.json.decode(raw, type=ScanState)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"--resume {resume}: a scan did not write it: {error}") from error
+    for what, kept, asked in (
+        ("of", state.link, str(spec)),
+        ("with --units", _ranges(state.numbers), _ranges(numbers)),
+        ("with --addresses", state.addresses or span, span or state.addresses),
+    ):
+        if kept != asked:
+            kept, asked = (each if isinstance(each, str) else _span(each) for each in (kept, asked))
+            raise InputError(f"--resume {resume}: is {what} {kept}, and {asked} is asked for")
+    demand_writable(resume)
+    state.addresses = state.addresses or span
     return state
+
+
+def _span(ends: tuple[int, int] | None) -> str:
+    return "" if ends is None else f"{ends[0]}..{ends[1]}"
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Return numbers as --units takes them: `1..20,40`."""
+    spans: list[list[int]] = []
+    for number in numbers:
+        if spans and spans[-1][-1] + 1 == number:
+            spans[-1][1:] = [number]
+        else:
+            spans.append([number])
+    return ",".join("..".join(map(str, span)) for span in spans)
 
 
 class _Runner:
@@ -240,6 +291,7 @@ class _Runner:
         state: ScanState,
         interrupt: Interrupt,
         resume: Path | None,
+        timeout_s: float,
     ) -> None:
         from mbtool.workflows.ask import Asker
 
@@ -251,9 +303,11 @@ class _Runner:
         self.state = state
         self._interrupt = interrupt
         self._resume = resume
+        self._timeout_ns = round(timeout_s * 1e9)
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
+        from mbtool.cli.talk import shown_progress
         from mbtool.core import TcpLink
         from mbtool.workflows.scan import Scan
 
@@ -263,14 +317,15 @@ class _Runner:
             is_tcp=isinstance(self._spec, TcpLink),
             every=every,
             interval_ns=round(1e9 / rate),
+            late_ns=self._timeout_ns,
         )
-        for text in self._steps(work, units, addresses):
-            _tell_progress(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
-            if self._resume is not None:
-                self._keep(self._resume)
-            if self._interrupt.asked:
-                break
-        _tell_progress("")
+        with shown_progress() as show:
+            for text in self._steps(work, units, addresses):
+                show(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
+                if self._resume is not None:
+                    self._keep(self._resume)
+                if self._interrupt.asked:
+                    break
 
     def _steps(self, work: Scan, units: list[int], addresses: range | None) -> Iterator[str]:
         for unit in work.units(units):
@@ -284,20 +339,23 @@ class _Runner:
     def _keep(self, file: Path) -> None:
         import msgspec
 
+        from mbtool.cli.output import told_as_lost
         from mbtool.core.replacing import replacing
 
-        if not file.exists():
-            file.touch()
-        with replacing(file) as new:
-            new.write_bytes(msgspec.json.format(msgspec.json.encode(self.state), indent=2))
+        text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
+        with told_as_lost(str(file)):
+            if not file.exists():
+                file.touch()
+            with replacing(file) as new:
+                new.write_bytes(text)
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:
         """Read all areas once more, and draft a profile from the answers."""
         from mbtool.cli.profile_files import give, is_file
         from mbtool.cli.talk import say
         from mbtool.core import UsageError
-        from mbtool.devices.drafting.draft import draft_profile
         from mbtool.devices.profile_template import name_for
+        from mbtool.values.draft import draft_profile
         from mbtool.workflows.scan import final_reads
         from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 
@@ -313,15 +371,6 @@ class _Runner:
         name = name_for(output) if is_file(output) else f"unit-{unit}"
         drafted = draft_profile(slaves.only("--units"), name, str(self._spec))
         give(drafted.text, output, overwrite=overwrite)
-
-
-def _tell_progress(text: str) -> None:
-    """Show how far the scan is, in one line of a terminal that is redrawn; "" erases it."""
-    from mbtool.cli.talk import escaped
-
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{escaped(text)}")
-        sys.stderr.flush()
 
 
 def _print(found: list[ScanState], format_: ListFormat) -> None:

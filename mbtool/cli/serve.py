@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.slave.shells import Shell
-    from mbtool.slave.shells.shell_group import ShellGroup
+    from mbtool.slave.shells.opening import ShellGroup
 
 
 _LOOK_EVERY_S = 0.2

@@ -99,7 +99,7 @@ def slave(
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
     from mbtool.workflows.slave import Station, device_slave
 

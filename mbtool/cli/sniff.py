@@ -24,6 +24,7 @@ from mbtool.cli.options import (
     SilenceOptions,
     TableOptionGroup,
     TopicPerPointOption,
+    WaitOption,
     WhereOption,
 )
 from mbtool.cli.tls_options import TlsOptions
@@ -106,6 +107,7 @@ def sniff(
             help="Open a serial port or an interface that is lost again when it is back.",
         ),
     ] = True,
+    wait: WaitOption = None,
     service: Annotated[
         bool,
         typer.Option(
@@ -130,7 +132,13 @@ def sniff(
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
-    from mbtool.cli.listening import allowed_networks, heard_ports, read_only_taps, sniffer_of
+    from mbtool.cli.listening import (
+        allowed_networks,
+        found_settings,
+        heard_ports,
+        read_only_taps,
+        sniffer_of,
+    )
     from mbtool.cli.live_output import LiveOutput
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output, say_troubles
@@ -144,7 +152,7 @@ def sniff(
     from mbtool.logs.rotation import parts_of
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.shared.evidence_only import begin_evidence_only
-    from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.stats import LiveStatistics
 
     if rotate is not None and write is None:
@@ -172,7 +180,7 @@ def sniff(
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
-    specs = modem.on(timing.given(with_settings(specs, say)))
+    specs = modem.on(timing.given(found_settings(specs, wait)))
     begin: Callable[[], Log] | None = None
     run = ServiceRun(os.environ) if service else None
     if write is not None:

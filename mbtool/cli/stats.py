@@ -86,6 +86,7 @@ def stats(
     """
     from mbtool.cli.output import demand_standard_output
     from mbtool.core import UsageError
+    from mbtool.workflows.shared.named_files import named_files
 
     demand_standard_output()
     live = [is_link(one) for one in sources]
@@ -95,6 +96,8 @@ def stats(
         raise UsageError("--raw and --link go with files")
     if not any(live) and (duration is not None or allow):
         raise UsageError("--duration and --allow go with a link")
+    if not any(live):
+        sources = named_files(sources)
     shown = _Shown(sources, where, as_json, top)
     if any(live):
         _listen(shown, device, source, silences, allow, duration)
@@ -216,13 +219,13 @@ def _listen(
     On a terminal they are shown each second until then. `device` and `allow` are the values of
     --device and --allow. Listening ends with Ctrl-C, or after `duration_s` seconds if not None.
     """
-    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, found_settings, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.talk import Interrupted, interruptible, say
     from mbtool.core import parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.stats import LiveStatistics
 
     wanted = None if shown.where is None else condition(shown.where)
@@ -231,7 +234,7 @@ def _listen(
     devices = assignments(device)
     timing = LineTiming(devices, *silences.read())
     serial_lines(specs)
-    specs = timing.given(with_settings(specs, say))
+    specs = timing.given(found_settings(specs, None))
     lines = serial_lines(specs)
 
     def format_of(link: str) -> SerialFormat | None:

@@ -7,6 +7,7 @@ import select
 import signal
 import sys
 import threading
+import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
@@ -63,6 +64,43 @@ def say(text: str, *, is_error: bool = False) -> None:
         return
     with suppress(OSError):
         print(_for_journal(text, is_error=is_error) + escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+
+
+@contextmanager
+def shown_progress(least_s: float | None = None) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows how far a long work is, in one line of a terminal that is redrawn
+    and erased at the end.
+
+    Where standard error is no terminal, it says the text instead, at most each `least_s` seconds;
+    never if it is None.
+    """
+    told_s = time.monotonic()
+
+    def wipe() -> None:
+        with suppress(OSError):
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    def show(text: str) -> None:
+        nonlocal told_s
+        if is_terminal:
+            wipe()
+            with suppress(OSError):
+                sys.stderr.write(escaped(text))
+                sys.stderr.flush()
+        elif least_s is not None and time.monotonic() - told_s >= least_s:
+            told_s = time.monotonic()
+            say(text)
+
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    if not is_terminal:
+        yield show
+        return
+    with redrawn_line(wipe):
+        try:
+            yield show
+        finally:
+            wipe()
 
 
 def _for_journal(text: str, *, is_error: bool) -> str:

@@ -131,7 +131,7 @@ def _watch_links(
 ) -> None:
     from collections import deque
 
-    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, found_settings, heard_ports, sniffer_of
     from mbtool.cli.options import assignments
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import parse_link
@@ -141,7 +141,7 @@ def _watch_links(
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
-    from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.watch import MAX_REMARKS, LinkFeed, make_watched
     from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver
 
@@ -152,7 +152,7 @@ def _watch_links(
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
-    specs = timing.given(with_settings(specs, say))
+    specs = timing.given(found_settings(specs, None))
     lines = serial_lines(specs)
     begin = partial(
         create_log, links=specs, assignments=devices, overwrite=overwrite, **tcp_ports._asdict()

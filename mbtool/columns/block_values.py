@@ -1,4 +1,4 @@
-"""Finds in a block of a capture when the registers and bits that a poll reads changed."""
+"""Finds in a block of a capture when the registers and bits that a poll reads or writes changed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class BlockValues:
-    """The values in the responses to the reads of one poll. Implements ReadValues."""
+    """The values that the reads or writes of one poll bring. Implements ReadValues."""
 
     def __init__(self, rows: PlainRows, usual: UsualValues, places: Int64s) -> None:
         self._rows = rows
@@ -25,11 +25,10 @@ class BlockValues:
         self._places = places
 
     def last(self) -> list[int]:
-        last: list[int] = self._usual.response_values(self._places[-1:]).numbers.tolist()
-        return last
+        return self._usual.values_of(self._places[-1:])
 
     def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
-        values = self._usual.response_value(self._places, place)
+        values = self._usual.value_of(self._places, place)
         has_changed = np.ones(len(values), np.bool_)
         has_changed[1:] = values[1:] != values[:-1]
         has_changed[0] = before is None or values[0] != before[place]

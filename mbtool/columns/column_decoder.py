@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import narrow
+from mbtool.columns.decoded_rows import with_decoded
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
 from mbtool.columns.passed_connections import PassedConnections, pass_whole
@@ -164,9 +165,9 @@ class ColumnDecoder:
 
     def _passed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
         stretches = find_stretches(headers, numbers, block.data)
-        decoded = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches).run()
-        if decoded.plain is not None:
-            self.plain_rows += len(decoded.plain.request)
+        taken = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches)
+        decoded = taken.run()
+        self.plain_rows += taken.plain_rows
         return decoded
 
     def close(self) -> DecodedBlock:
@@ -264,6 +265,10 @@ class _BlockPass:
         """An index in `Segments`. The connections of all segments before it were marked as used in
         the reassembler, which drops the connection that was not used for longest."""
         self._decoded = DecodedBlock()
+        self._connections: list[Connection | None] = []
+        """The connection that each of the decoder's records came from; None if unknown."""
+        self.plain_rows = 0
+        """The number of transactions that were read from arrays, without the Decoder."""
         self._taken: list[tuple[int, int, Connection]] = []
         """For each plain stretch that was read from arrays: the index of its first transaction, the
         index behind its last one, and its connection."""
@@ -311,7 +316,16 @@ class _BlockPass:
             # connections with earlier times than its last one were fed afterwards, and may have set
             # the time of this connection back.
             connection.note_time(end_ns)
-        self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
+        rows = self._rows.rows(self._block, self._taken) if self._taken else None
+        self.plain_rows = 0 if rows is None else len(rows.request)
+        self._decoded.plain, self._decoded.records = with_decoded(
+            self._block,
+            self._segments,
+            rows,
+            self._decoded.records,
+            self._connections,
+            self._stretches.data,
+        )
         return self._decoded
 
     def _pass_whole(self) -> Bools:
@@ -364,8 +378,15 @@ class _BlockPass:
         else:
             self._pass_times(place)
             self._passed = place + 1
-        for record in self._decoder.feed(self._block.packet(packet)):
+        records = self._decoder.feed(self._block.packet(packet))
+        if not records:
+            return
+        ends = None if place < 0 else self._flows.ends[int(self._numbers[place])]
+        connection = None if ends is None else self._decoder.reassembler.find(ends)
+        identity = None if connection is None else connection.identity
+        for record in records:
             self._decoded.records.append((2 * packet + 1, record))
+            self._connections.append(identity)
 
     def _pass_times(self, until: int) -> None:
         """Tell the Decoder the times of those segments before the index `until` that were not fed
@@ -378,6 +399,7 @@ class _BlockPass:
         for at, records in found:
             packet = int(self._segments.index[at])
             self._decoded.records += [(2 * packet, record) for record in records]
+            self._connections += [None] * len(records)
 
     def _note_used(self, until: int) -> None:
         """Mark the connections of the segments before the index `until` as used in the reassembler,

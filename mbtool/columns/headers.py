@@ -231,8 +231,8 @@ def _segments(
     is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
     is_odd |= _is_one_of(protocol, _TUNNELS)
     is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))
-    target = gather(block.data, start[is_udp] + 2, _PAIR)
-    is_odd[is_udp[target == _VXLAN_PORT]] = True
+    source, target = (gather(block.data, start[is_udp] + place, _PAIR) for place in (0, 2))
+    is_odd[is_udp[(target == _VXLAN_PORT) | is_followed[source] | is_followed[target]]] = True
     hidden[some[is_odd]] = True
     chosen = np.flatnonzero(is_tcp & ~is_odd)
     tcp = gather(block.data, start[chosen], _TCP_HEADER)

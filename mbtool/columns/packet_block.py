@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from mbtool.columns.arrays import Int64s, Octets, gather
 from mbtool.core import InputError, Packet
+from mbtool.core.moments import SECOND_NS
 from mbtool.packets.capture import read_capture
 from mbtool.packets.pcap import (
     MAX_CAPTURED,
@@ -62,7 +63,6 @@ _ENHANCED = 32
 """The number of bytes of an enhanced packet block around its packet and options, with the length at
 its end."""
 _MASK_64 = (1 << 64) - 1
-_NS_PER_SECOND = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -304,7 +304,7 @@ class _PcapBlocks:
             starts=places + self._header,
             captured=captured,
             original=np.maximum(records["len"].astype(np.int64), captured),
-            ts_ns=seconds * _NS_PER_SECOND + fraction * self._form.unit_ns,
+            ts_ns=seconds * SECOND_NS + fraction * self._form.unit_ns,
             file=self._name,
             first_number=self._number + 1,
             links=[("if0", self._form.link_type)],

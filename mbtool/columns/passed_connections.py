@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mbtool.columns.flows import FlowNumbers
     from mbtool.columns.headers import Headers, Segments
     from mbtool.columns.stretches import Stretches
+    from mbtool.core import WireEvent
     from mbtool.decode.decoder import Decoder, Record
     from mbtool.packets.reassembler import FlowEnds
 
@@ -53,21 +54,18 @@ class PassedConnections:
         """Return the opening and the closing event of each connection, each with its sort key among
         the results of the block (`order_of`).
         """
-        found: list[tuple[int, Record]] = []
-        for packet, ts_ns, connection in zip(
-            self.opened.tolist(), self.opened_ns.tolist(), self.connections, strict=True
-        ):
-            found.append((2 * packet + 1, opening_event(ts_ns, connection)))
-        for packet, ts_ns, connection, by_slave in zip(
-            self.closed.tolist(),
-            self.closed_ns.tolist(),
-            self.connections,
-            self.is_ended_by_slave.tolist(),
-            strict=True,
-        ):
-            by = Direction.RESPONSE if by_slave else Direction.REQUEST
-            found.append((2 * packet + 1, closing_event(ts_ns, connection, by)))
-        return found
+        packets = enumerate(self.opened.tolist())
+        found: list[tuple[int, Record]] = [(2 * at + 1, self.opening(one)) for one, at in packets]
+        packets = enumerate(self.closed.tolist())
+        return found + [(2 * at + 1, self.closing(one)) for one, at in packets]
+
+    def opening(self, number: int) -> WireEvent:
+        """Return the event of the opening of the connection with this index."""
+        return opening_event(int(self.opened_ns[number]), self.connections[number])
+
+    def closing(self, number: int) -> WireEvent:
+        by = Direction.RESPONSE if self.is_ended_by_slave[number] else Direction.REQUEST
+        return closing_event(int(self.closed_ns[number]), self.connections[number], by)
 
 
 def pass_whole(

@@ -129,7 +129,9 @@ class BlockLines:
         places = order_of(plain.response)
         lines += [self._line_of(one) for one in unusual] + usual_lines
         places = np.concatenate([np.array(order, np.int64), places[others], places[chosen]])
-        ordered = [lines[one] for one in np.argsort(places, kind="stable").tolist()]
+        # Several rows may have one packet: they stay in their order.
+        number = np.concatenate([np.arange(-len(order), 0), others, chosen])
+        ordered = [lines[one] for one in np.lexsort((number, places)).tolist()]
         return LineBatch("".join(ordered), outcomes, [*made, *unusual], unusual)
 
     def _lines(

@@ -12,8 +12,8 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.packet_block import PacketBlock
 from mbtool.core import Connection, LinkAddresses
 from mbtool.decode.plain_stretch import PlainStretch
-from mbtool.modbus.adu_bytes import MBAP_BYTES
-from mbtool.packets.link_addresses import link_addresses
+from mbtool.modbus.adu import MBAP_BYTES
+from mbtool.packets.link_layer import link_addresses
 from mbtool.packets.plain_bytes import PlainBytes
 from mbtool.packets.stream import RECENT_BYTES
 
@@ -69,12 +69,12 @@ class PlainRows:
 
     def part(self, begin: int, end: int) -> PlainRows:
         """Return the transactions with the indices `begin` to `end` (exclusive)."""
-        some: dict[str, Any] = {name: getattr(self, name)[begin:end] for name in _PER_ROW}
+        some: dict[str, Any] = {name: getattr(self, name)[begin:end] for name in PER_ROW}
         return replace(self, **some)
 
 
 _OF_A_BLOCK = ("block", "data", "connections", "addresses")
-_PER_ROW = [one.name for one in fields(PlainRows) if one.name not in _OF_A_BLOCK]
+PER_ROW = [one.name for one in fields(PlainRows) if one.name not in _OF_A_BLOCK]
 """The names of the arrays that have one element per transaction."""
 
 
@@ -210,23 +210,6 @@ class TransactionArrays:
             room -= sizes[end]
         return b"".join(reversed(adus))[-RECENT_BYTES:]
 
-    @staticmethod
-    def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
-        """Return a row of 32 bytes for each packet with an index in `packets`.
-
-        A row has the packet's link layer header, zeros behind it, and in the last byte the header's
-        length, which `ip_at` gives. So two rows are equal if the headers are equal.
-        """
-        headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
-        headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
-        least = int(ip_at.min(initial=_LINK_HEADER.itemsize))
-        if (ip_at == least).all():
-            headers[:, least:] = 0
-        else:
-            headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
-        headers[:, -1] = ip_at
-        return headers
-
     def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
         """Return the transactions of the plain stretches in `taken`, in the order of their
         responses.
@@ -238,8 +221,8 @@ class TransactionArrays:
         sizes = np.array([end - first for first, end, _ in taken])
         chosen = ranges(firsts, sizes)
         connection = np.repeat(np.arange(len(taken)), sizes)
-        requests = self._link_headers(block, self._request_packet, self._request_ip_at)
-        responses = self._link_headers(block, self._response_packet, self._response_ip_at)
+        requests = link_headers(block, self._request_packet, self._request_ip_at)
+        responses = link_headers(block, self._response_packet, self._response_ip_at)
         like = np.repeat(firsts, sizes)
         has_addresses = _are_equal(requests, chosen, like) & _are_equal(responses, chosen, like)
         addresses = self._addresses(block, firsts, requests[firsts], responses[firsts])
@@ -274,7 +257,7 @@ class TransactionArrays:
         """Return the MAC addresses and VLAN in the packets of request and response, for each of the
         transactions with the indices `firsts`; None for a packet without MAC addresses.
 
-        `requests` and `responses` are the rows that `_link_headers` gives for these transactions.
+        `requests` and `responses` are the rows that `link_headers` gives for these transactions.
         """
         both = np.ascontiguousarray(np.concatenate([requests, responses], axis=1))
         _, some, like = np.unique(
@@ -288,6 +271,23 @@ class TransactionArrays:
             for one in firsts[some].tolist()
         ]
         return [found[one] for one in like.tolist()]
+
+
+def link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
+    """Return a row of 32 bytes for each packet with an index in `packets`.
+
+    A row has the packet's link layer header, zeros behind it, and in the last byte the header's
+    length, which `ip_at` gives. So two rows are equal if the headers are equal.
+    """
+    headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
+    headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
+    least = int(ip_at.min(initial=_LINK_HEADER.itemsize))
+    if (ip_at == least).all():
+        headers[:, least:] = 0
+    else:
+        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
+    headers[:, -1] = ip_at
+    return headers
 
 
 def _are_equal(headers: Octets, first: Int64s, second: Int64s) -> Bools:

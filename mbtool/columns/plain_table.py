@@ -64,7 +64,7 @@ class PlainTables:
         ends = rows.connection[chosen]
         connections = rows.connections
         origins = [origin_fields(*one) for one in rows.addresses]
-        source_macs, destination_macs, vlans = zip(*origins, strict=True)
+        source_macs, destination_macs, response_macs, vlans = zip(*origins, strict=True)
         exception = usual.exception[chosen]
         is_exception = exception >= 0
         codes = np.unique(exception[is_exception])
@@ -100,12 +100,13 @@ class PlainTables:
             "confidence": np.ones(len(chosen)),
             "reference": _words_or_none([one.reference for one in names], name),
             "findings": _lists([one.findings for one in names], name),
-            "time": rows.request_ns[chosen],
+            "time": rows.request_ns[chosen] // 1000,
             "file": _words([rows.block.file], np.zeros(len(chosen), np.int64)),
             "request_packet": rows.block.first_number + rows.request[chosen],
             "response_packet": rows.block.first_number + rows.response[chosen],
             "source_mac": _words_or_none(source_macs, ends),
             "destination_mac": _words_or_none(destination_macs, ends),
+            "response_mac": _words_or_none(response_macs, ends),
             "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
         }
         return pa.Table.from_arrays(

@@ -23,9 +23,8 @@ from mbtool.columns.plain_rows import link_addresses_of
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import Direction, Origin
 from mbtool.decode.transactions import Ends, add_origins, with_response
-from mbtool.modbus.adu import Adu, DirectionBy, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES
-from mbtool.packets.link_addresses import MAX_CACHED_HEADERS
+from mbtool.modbus.adu import MBAP_BYTES, Adu, DirectionBy, Transport
+from mbtool.packets.link_layer import MAX_CACHED_HEADERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -245,16 +244,18 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
 @lru_cache(maxsize=MAX_CACHED_HEADERS)
 def origin_fields(
     request: LinkAddresses | None, response: LinkAddresses | None
-) -> tuple[str | None, str | None, int | None]:
-    """Return the MAC address of the master, that of the slave, and the VLAN number; None for what
-    is unknown.
+) -> tuple[str | None, str | None, str | None, int | None]:
+    """Return the MAC address of the master, that of the slave, that of the response if it is
+    another one, and the VLAN number; None for what is unknown.
 
     `request` and `response` are the addresses in the headers of the two packets; None if a header
     has none.
     """
     fields: dict[str, Any] = {}
     add_origins(fields, Origin("", 0, request), Origin("", 0, response))
-    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
+    names = ("source_mac", "destination_mac", "response_mac", "vlan")
+    source, destination, answering, vlan = (fields.get(name) for name in names)
+    return source, destination, answering, vlan
 
 
 class _Half(NamedTuple):

@@ -12,6 +12,7 @@ without making an object of each.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
-_Place = tuple[str, str, str, str | None, str | None]
+_Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
 
@@ -87,7 +88,7 @@ class PollRuns:
 def _places(rows: PlainRows) -> list[_Place]:
     """Return for each item of `rows.connections` its link, IP and MAC addresses (_Place)."""
     return [
-        (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:2])
+        (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:3])
         for one, addresses in zip(rows.connections, rows.addresses, strict=True)
     ]
 
@@ -148,6 +149,7 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
             end_ns,
             times[start:stop],
             latencies[start:stop],
+            partial(_packets_of, rows, order[start:stop] + begin),
         )
         for which, start, stop, begin_ns, end_ns in zip(
             found[by_first].tolist(),
@@ -159,3 +161,9 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
         )
     ]
     return AnsweredRun(alike, local.tolist(), request_ns.tolist(), response_ns.tolist())
+
+
+def _packets_of(rows: PlainRows, places: Int64s, index: int) -> tuple[int, int]:
+    """Return the packets of request and response of one of the rows with the indices `places`."""
+    row, first = int(places[index]), rows.block.first_number
+    return first + int(rows.request[row]), first + int(rows.response[row])

@@ -31,7 +31,7 @@ def row_table(transactions: Sequence[NamedTransaction]) -> pa.Table:
 
 def _row(transaction: NamedTransaction) -> dict[str, Any]:
     row = msgspec.structs.asdict(transaction)
-    row["time"] = transaction.start_ns
+    row["time"] = transaction.start_ns // 1000
     row["points"] = [msgspec.structs.asdict(point) for point in transaction.points]
     return row
 

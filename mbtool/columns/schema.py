@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 Table = pa.Table
 
-_WORD = pa.dictionary(pa.int32(), pa.string())
+TIME_TYPE = pa.timestamp("us", "UTC")
+"""The type of a column of times. Nanoseconds would be exact, but DuckDB calculates only with
+microseconds, and Spark and Python have no finer type (docs/decisions/0027)."""
+
+WORD = pa.dictionary(pa.int32(), pa.string())
 """The type of a column of text with few different values: each different text is stored once, and
 each row has its index."""
 _POINT = pa.struct(
@@ -60,7 +64,7 @@ def _type(type_: inspect.Type, bits: int = 64) -> pa.DataType:
         case inspect.ListType(item_type=item):
             return pa.list_(_type(item))
         case inspect.StrType() | inspect.EnumType():
-            return _WORD
+            return WORD
         case other:
             raise TypeError(f"{other} has no type of a column")
 
@@ -68,7 +72,7 @@ def _type(type_: inspect.Type, bits: int = 64) -> pa.DataType:
 def schema_of(cls: type[msgspec.Struct] = NamedTransaction) -> pa.Schema:
     """Return the columns of a table of transactions of a class."""
     types = {one.name: _type(one.type, one.bits) for one in transaction_fields(cls)}
-    types[TIME] = pa.timestamp("ns", "UTC")
+    types[TIME] = TIME_TYPE
     return pa.schema([(name, types[name]) for name in column_names("table", cls)])
 
 

@@ -1,14 +1,14 @@
-"""Finds TCP segments that only repeat bytes of an earlier segment, so that decoding can skip
-them.
-"""
+"""Finds TCP segments that repeat an earlier segment at once, so that decoding can skip them."""
 
-# Such a retransmission has the sequence number, acknowledgement number and bytes of an earlier
-# segment. Between the two, no other segment of the connection has bytes, except one response if the
-# repeated segment is a request. So both segments are in the same plain stretch (stretches.py), and
-# the second one adds nothing.
+# Such a copy, as a mirror port makes, has the sequence number, acknowledgement number and bytes of
+# an earlier segment, less than RETRANSMISSION_NS before it. Between the two, no other segment of
+# the connection has bytes, except one response if the repeated segment is a request. So both
+# segments are in the same plain stretch (stretches.py), and the second one adds nothing.
+#
+# A copy that comes later than that was sent again by its sender, which the Decoder reports.
 #
 # A segment of one byte may be a keep-alive probe. The Decoder counts those, so they are not treated
-# as retransmissions here.
+# as copies here.
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import pieces
+from mbtool.packets.connection import RETRANSMISSION_NS
 
 if TYPE_CHECKING:
     from mbtool.columns.arrays import Bools, Int64s, Octets
@@ -46,6 +47,7 @@ def is_sent_again(segments: Segments, order: Int64s, flows: Int64s, data: Octets
             & (segments.acknowledged[first] == segments.acknowledged[second])
             & (segments.flags[first] == segments.flags[second])
             & (segments.size[second] <= _LONGEST)
+            & (segments.ts_ns[second] - segments.ts_ns[first] < RETRANSMISSION_NS)
         )
         if distance == 2:
             middle = chosen[1:-1]

@@ -12,10 +12,10 @@ connection, with no segment missing or out of order. Works on the arrays of `Seg
 # A hidden packet is one whose headers this package cannot read as arrays, such as an IP fragment or
 # a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.
 #
-# Two irregularities are allowed within a stretch. The first is a retransmission: a segment with the
-# bytes and numbers of an earlier one, right after it or after the response to it (sent_again.py).
-# It changes nothing and is skipped. The second is a request in two segments: its bytes are joined
-# and appended to the block's data, and its time is that of the second segment.
+# Two irregularities are allowed within a stretch. The first is a copy: a segment with the bytes and
+# numbers of an earlier one, right after it or after the response to it (sent_again.py). It changes
+# nothing and is skipped. The second is a request in two segments, at most PARTS_NS apart: its bytes
+# are joined and appended to the block's data, and its time is that of the second segment.
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, narrow, pieces
 from mbtool.columns.packet_block import SPARE
 from mbtool.columns.sent_again import is_sent_again
 from mbtool.decode.network_pairing import TIMEOUT_NS
-from mbtool.framing.mbap import MAX_LENGTH, MAX_REQUEST_NS, MIN_LENGTH
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.framing.mbap import MAX_LENGTH, MIN_LENGTH, PARTS_NS
+from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.packets.segment import ACK
 
@@ -86,7 +86,7 @@ class Stretches:
     """The bytes of all packets of the block, followed by copies of the requests that were joined
     from two segments."""
     sent_again: Int64s
-    """The places in `order` of the segments that are retransmissions and add no bytes."""
+    """The places in `order` of the segments that are copies and add no bytes."""
 
 
 @dataclass(slots=True)
@@ -185,7 +185,7 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
         & may_be[1:]
         & (payloads.run[:-1] == payloads.run[1:])
         & (size[:-1] + size[1:] <= MAX_LENGTH + _LENGTH_END)
-        & (payloads.ts_ns[1:] - payloads.ts_ns[:-1] <= MAX_REQUEST_NS)
+        & (payloads.ts_ns[1:] - payloads.ts_ns[:-1] <= PARTS_NS)
     )
     if not len(first):
         return payloads, data

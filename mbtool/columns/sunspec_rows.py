@@ -22,7 +22,7 @@ from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
 from mbtool.devices import Namer
 from mbtool.devices.sunspec_map import BASES, MARK, READ_HOLDING, mark_in
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

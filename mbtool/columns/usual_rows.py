@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s, gather
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import (
     EXCEPTION_BIT,
     READ_BITS,
     READ_REGISTERS,
+    READ_WRITE_REGISTERS,
     WRITE_ONE,
     WRITE_SEVERAL,
 )
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_rows import PlainRows
 
 WRITE_COIL, WRITE_COILS = 0x05, 0x0F
-READ_WORDS = READ_REGISTERS - {0x17}
+READ_WORDS = READ_REGISTERS - {READ_WRITE_REGISTERS}
 WRITE_WORD = WRITE_ONE - {WRITE_COIL, 0x16}
 WRITE_WORDS = WRITE_SEVERAL - {WRITE_COILS}
 _FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])

@@ -61,16 +61,32 @@ class UsualValues(UsualRows):
         begin = self._response[chosen] + 2
         return ValueLists(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
 
-    def response_value(self, chosen: Int64s, place: int) -> Words:
-        """Return for each row (transaction) the register or bit at the index `place` of the values
-        in its response.
-
-        `chosen` has the indices of the rows, all of them answered reads with the same function.
+    def values_of(self, chosen: Int64s) -> list[int]:
+        """Return the values of rows (transactions) with the indices `chosen`, which have the same
+        function and are answered: those in their responses; of writes, those in their requests.
         """
-        begin = self._response[chosen] + 2
-        if self._reads_bits[chosen[0]]:
+        is_read = self._reads_bits[chosen[0]] or self._reads_words[chosen[0]]
+        values = self.response_values(chosen) if is_read else self.request_values(chosen)
+        numbers: list[int] = values.numbers.tolist()
+        return numbers
+
+    def value_of(self, chosen: Int64s, place: int) -> Words:
+        """Return for each row (transaction) the register or bit at the index `place` of its values.
+
+        `chosen` is as for `values_of`.
+        """
+        first = chosen[0]
+        is_bit = self._reads_bits[first] or self._writes_bits[first]
+        if self._reads_bits[first] or self._reads_words[first]:
+            begin = self._response[chosen] + 2
+        elif self._writes_bits[first] or self._writes_words[first]:
+            begin = self._request[chosen] + COUNTED
+        else:
+            begin = self._request[chosen] + 3
+        if is_bit:
             return (self._data[begin + place // 8] >> (place % 8) & 1).astype(np.uint16)
-        return gather(self._data, begin + 2 * place, _PAIR).astype(np.uint16)
+        values: Words = gather(self._data, begin + 2 * place, _PAIR).astype(np.uint16)
+        return values if self._code[first] != WRITE_COIL else (values != 0).astype(np.uint16)
 
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools

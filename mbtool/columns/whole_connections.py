@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.packets.segment import ACK, FIN, SYN
 

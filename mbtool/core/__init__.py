@@ -10,40 +10,38 @@ from mbtool.core.errors import (
     OutputError,
     UsageError,
 )
-from mbtool.core.events import (
+from mbtool.core.evidence import (
     CONNECTION_CLOSED,
     CONNECTION_JOINED,
     CONNECTION_OPENED,
-    ConnectionEnd,
-    EventKind,
-    WireEvent,
-)
-from mbtool.core.evidence import (
     Chunk,
     Connection,
+    ConnectionEnd,
     Direction,
     Endpoint,
+    EventKind,
     LinkAddresses,
     Origin,
     Packet,
     Quiet,
     Stamp,
     StreamPlace,
+    WireEvent,
 )
-from mbtool.core.line_settings import LineSettings, parse_line
 from mbtool.core.link_spec import (
     AutoLink,
     InterfaceLink,
+    LineSettings,
     LinkSpec,
     ListenTls,
     SerialLink,
     TapLink,
     TargetTls,
     TcpLink,
+    parse_line,
     parse_link,
 )
-from mbtool.core.serial_format import SerialFormat
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import SerialFormat, Silence
 
 __all__ = [
     "CONNECTION_CLOSED",

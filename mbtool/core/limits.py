@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+LAST_UNIT = 247
+"""The last unit of a serial line (Serial Line V1.02, 2.2); 248 to 255 are reserved."""
+
 MAX_OPEN_REQUESTS = 256
 """The most requests of one link that wait for a response. If one more comes, the decoder no longer
 waits for the response to the oldest."""

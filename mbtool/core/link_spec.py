@@ -11,6 +11,8 @@
 #     tap:127.0.0.1:1502=10.0.0.9:502    an in-line TCP relay: where it listens, where it connects
 #     tcp:127.0.0.1:1502                 a Modbus/TCP endpoint
 #     rtu+tcp:127.0.0.1:1502             an endpoint that speaks RTU over TCP
+#     udp:127.0.0.1:1502                 an endpoint that speaks Modbus over UDP
+#     rtu+udp:127.0.0.1:1502             an endpoint that speaks RTU over UDP
 #
 # An IPv6 address stands in brackets: tcp:[::1]:1502.
 
@@ -22,8 +24,7 @@ from pathlib import PurePath
 
 from mbtool.core.errors import UsageError
 from mbtool.core.evidence import Endpoint
-from mbtool.core.modem_lines import ModemLines
-from mbtool.core.serial_format import SerialFormat
+from mbtool.core.serial_format import ModemLines, SerialFormat
 
 MODBUS_PORT = 502
 AUTO = "auto"
@@ -35,11 +36,14 @@ HEARD = (
     "or tap:LISTEN=TARGET"
 )
 """The forms of LINK that the command sniff accepts, as a text for error messages."""
-ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
+ANSWERED = (
+    "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT, rtu+tcp:HOST:PORT, udp:HOST:PORT or "
+    "rtu+udp:HOST:PORT"
+)
 """The forms of LINK that the commands slave and replay accept, as a text for error messages."""
 _ALL = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE, "
-    "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
+    "tap:LISTEN=TARGET, tcp:HOST:PORT, rtu+tcp:HOST:PORT, udp:HOST:PORT or rtu+udp:HOST:PORT"
 )
 
 _ENDPOINT = re.compile(
@@ -195,17 +199,19 @@ class TapLink:
 
 @dataclass(frozen=True, slots=True)
 class TcpLink:
-    """An endpoint that speaks Modbus/TCP, or RTU over TCP."""
+    """An endpoint that speaks Modbus/TCP or RTU over TCP, or the same over UDP."""
 
     endpoint: Endpoint
     rtu: bool = False
+    """True for RTU frames with a CRC, False for ADUs with an MBAP header."""
+    is_udp: bool = field(default=False, kw_only=True)
 
     @property
     def name(self) -> str:
         return str(self.endpoint)
 
     def __str__(self) -> str:
-        return f"{'rtu+tcp' if self.rtu else 'tcp'}:{self.endpoint}"
+        return f"{'rtu+' if self.rtu else ''}{'udp' if self.is_udp else 'tcp'}:{self.endpoint}"
 
 
 LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
@@ -236,8 +242,9 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
             tap = TapLink(_parse_endpoint(text, listen), _parse_endpoint(text, target))
             _demand_other_target(text, tap)
             return tap
-        case "tcp" | "rtu+tcp":
-            return TcpLink(_parse_endpoint(text, rest), rtu=scheme == "rtu+tcp")
+        case "tcp" | "rtu+tcp" | "udp" | "rtu+udp":
+            is_rtu, is_udp = scheme.startswith("rtu+"), scheme.endswith("udp")
+            return TcpLink(_parse_endpoint(text, rest), is_rtu, is_udp=is_udp)
         case _:
             raise UsageError(f"link {text!r}: write {offer}")
 
@@ -354,3 +361,44 @@ def _demand_other_target(text: str, tap: TapLink) -> None:
             f"link {text!r}: the tap would call itself; let it listen at another port, "
             f"for example tap:{Endpoint(listen.host, 0)}={target}, where 0 takes a free one"
         )
+
+
+# The value of `--link` for a file of serial bytes: a line's settings, without a port.
+#
+#     rtu@19200-8E1      RTU; `rtu` alone means rtu@19200-8E1
+#     ascii@9600-7E1     ASCII; `ascii` alone means ascii@9600-7E1
+
+_MODES = ("rtu", "ascii")
+
+
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """The baud rate and character format of a serial line, and its mode: RTU or ASCII."""
+
+    format: SerialFormat
+    ascii: bool = False
+
+    def on(self, port: str) -> SerialLink:
+        """Return the serial link with this port and these settings."""
+        return SerialLink(port, self.format, ascii=self.ascii)
+
+    def __str__(self) -> str:
+        return f"{'ascii' if self.ascii else 'rtu'}@{self.format}"
+
+
+def parse_line(text: str) -> LineSettings:
+    """Read `rtu@19200-8E1` or `ascii@9600-7E1`.
+
+    Raises UsageError for any other text, and for settings that the line cannot have.
+    """
+    mode, at, settings = text.partition("@")
+    if mode not in _MODES:
+        port = " without a port" if ":" in mode else ""
+        raise UsageError(
+            f"--link {text!r}: say of the line of a file{port}: rtu@19200-8E1 or ascii@9600-7E1"
+        )
+    is_ascii = mode == "ascii"
+    format_ = SerialFormat.parse(settings) if at else SerialFormat.usual(is_ascii=is_ascii)
+    if not is_ascii:
+        format_.demand_rtu(f"--link {text!r}", "rtu@19200-8E1")
+    return LineSettings(format_, is_ascii)

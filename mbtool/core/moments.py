@@ -15,13 +15,17 @@ from mbtool.core.errors import UsageError
 
 MAX_NS = 2**63 - 1
 
-_NS_PER_S = 1_000_000_000
+SECOND_NS = 1_000_000_000
+"""A second in ns."""
+DAY_NS = 86_400 * SECOND_NS
+"""A day in ns."""
+
 _PLAIN = re.compile(r"[0-9]{1,10}(?:\.[0-9]{1,9})?")
 _DURATION = re.compile(
     r"(?:(?P<d>[0-9.]+)d)?(?:(?P<h>[0-9.]+)h)?(?:(?P<m>[0-9.]+)m(?!s))?"
     r"(?:(?P<s>[0-9.]+)s)?(?:(?P<ms>[0-9.]+)ms)?"
 )
-_UNITS_NS = {"d": 86_400 * _NS_PER_S, "h": 3600 * _NS_PER_S, "m": 60 * _NS_PER_S, "s": _NS_PER_S,
+_UNITS_NS = {"d": DAY_NS, "h": 3600 * SECOND_NS, "m": 60 * SECOND_NS, "s": SECOND_NS,
              "ms": 1_000_000}  # fmt: skip
 _ISO = re.compile(r"(?P<whole>[0-9]{4}-[0-9]{2}-[0-9]{2}(?:[T ][0-9]{2}:[0-9]{2}(?::[0-9]{2})?)?)"
                   r"(?:\.(?P<fraction>[0-9]{1,9}))?(?P<zone>Z|[+-][0-9]{2}:[0-9]{2})?")  # fmt: skip
@@ -84,13 +88,13 @@ def parse_iso(text: str) -> int | None:
         return None
     since = whole - _EPOCH
     ns = int((match["fraction"] or "").ljust(9, "0"))
-    return (since.days * 86_400 + since.seconds) * _NS_PER_S + ns
+    return (since.days * 86_400 + since.seconds) * SECOND_NS + ns
 
 
 def _duration_ns(text: str) -> int | None:
     """Convert a duration such as `90`, `2.5` or `1h30m` to ns; None for other texts."""
     if _PLAIN.fullmatch(text):
-        return int(Decimal(text) * _NS_PER_S)
+        return int(Decimal(text) * SECOND_NS)
     match = _DURATION.fullmatch(text) if len(text) <= 40 else None
     parts = {} if match is None else {key: one for key, one in match.groupdict().items() if one}
     if not parts or not all(_PLAIN.fullmatch(one) for one in parts.values()):

@@ -28,13 +28,14 @@ from functools import lru_cache
 from hashlib import blake2b
 from ipaddress import ip_address
 
+from mbtool.core.limits import LAST_UNIT
+from mbtool.core.moments import DAY_NS
+
 MAX_KEPT = 1 << 16
 _MULTICAST = 224
 _CLASS_BITS = 3
 """The bits of an IPv4 address that are all 1 in an address for many hosts."""
 _MAX_DAYS = 3650
-_DAY_NS = 86_400 * 10**9
-_MAX_UNIT = 247
 _CLASSES = tuple(
     each.encode() for each in (string.ascii_uppercase, string.ascii_lowercase, string.digits)
 )
@@ -50,10 +51,10 @@ class Pseudonyms:
         self._key = blake2b(key, digest_size=32).digest()
         self._counts: dict[str, int] = {}
         order = sorted(
-            range(1, _MAX_UNIT + 1), key=lambda unit: self._hash(b"unit", bytes((unit,)))
+            range(1, LAST_UNIT + 1), key=lambda unit: self._hash(b"unit", bytes((unit,)))
         )
-        self._units = dict(zip(range(1, _MAX_UNIT + 1), order, strict=True))
-        self.shift_ns = (1 + int.from_bytes(self._hash(b"time", b"")) % _MAX_DAYS) * _DAY_NS
+        self._units = dict(zip(range(1, LAST_UNIT + 1), order, strict=True))
+        self.shift_ns = (1 + int.from_bytes(self._hash(b"time", b"")) % _MAX_DAYS) * DAY_NS
         """Every time becomes earlier by this, in ns; a whole number of days."""
         self.ip = lru_cache(maxsize=MAX_KEPT)(self._ip)
         self.mac = lru_cache(maxsize=MAX_KEPT)(self._mac)

@@ -14,12 +14,113 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from decimal import Decimal
+from enum import StrEnum
 from typing import Self
 
 from mbtool.core.errors import UsageError
-from mbtool.core.silence import MAX_NS, Silence
 
-_PATTERN = re.compile(
+# The length of a silence on a line, in bit times, character times, ms or us (28bits, 5ms).
+#
+# The duration of a bit or a character depends on the line's baud rate and character format. So a
+# silence keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200
+# baud.
+
+_PATTERN = re.compile(r"(?P<amount>\d{1,12}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
+
+MAX_NS = 1_000_000_000
+"""The longest silence that a user can give, in ns; no line needs a longer one between two
+frames."""
+
+
+class SilenceUnit(StrEnum):
+    """The unit in which the length of a silence is given."""
+
+    BITS = "bits"
+    CHARACTERS = "chars"
+    MILLISECONDS = "ms"
+    MICROSECONDS = "us"
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """The length of a silence: an amount and its unit."""
+
+    amount: Decimal
+    unit: SilenceUnit
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `28bits`, `3.5chars`, `5ms` or `750us`. Raises UsageError for other forms and 0."""
+        match = _PATTERN.fullmatch(text.strip().lower())
+        if match is None:
+            raise UsageError(
+                f"silence {text!r}: write a number and bits, chars, ms or us, "
+                "for example 28bits or 5ms"
+            )
+        made = cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
+        # The length of bits and characters is checked when the baud rate is known.
+        if not 0 < made.ns(baud=1_000_000, character_bits=1) <= MAX_NS:
+            raise UsageError(f"silence {text!r}: it must be longer than 0 and at most 1 s")
+        return made
+
+    def ns(self, baud: int, character_bits: int) -> int:
+        """The length in ns on a line with this baud rate and this number of bits in a character."""
+        match self.unit:
+            case SilenceUnit.BITS:
+                return int(self.amount * 1_000_000_000 / baud)
+            case SilenceUnit.CHARACTERS:
+                return int(self.amount * character_bits * 1_000_000_000 / baud)
+            case SilenceUnit.MILLISECONDS:
+                return int(self.amount * 1_000_000)
+            case SilenceUnit.MICROSECONDS:
+                return int(self.amount * 1_000)
+
+    def __str__(self) -> str:
+        amount = f"{self.amount:f}"
+        if "." in amount:
+            amount = amount.rstrip("0").rstrip(".")
+        return f"{amount}{self.unit}"
+
+
+# The states that DTR and RTS of a port get when the port is opened to listen.
+#
+# When a port is opened, the kernel raises DTR and RTS, and when it is closed, drops both; no
+# program can prevent the raising. Some RS-485 adapters send, or are powered, while one of them is
+# raised.
+
+
+class ModemLine(StrEnum):
+    """The state of DTR, or of RTS, while a port is open to listen, and after it is closed."""
+
+    RAISED = "raised"
+    """The line is raised while the port is open, and dropped when the port is closed: the kernel
+    does so by itself."""
+    KEEP = "keep"
+    """The line is raised, and not dropped when the port is closed. Drivers can do this only for DTR
+    and RTS together."""
+    OFF = "off"
+    """The line is dropped right after the port is opened."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModemLines:
+    """The states of DTR and of RTS while a port is open to listen, and after it is closed."""
+
+    dtr: ModemLine = ModemLine.RAISED
+    rts: ModemLine = ModemLine.RAISED
+
+    def __str__(self) -> str:
+        return f"{self.dtr},{self.rts}"
+
+    @classmethod
+    def parse(cls, text: str) -> ModemLines:
+        """Read the text that str() returns, such as `raised,off`: first DTR, then RTS."""
+        dtr, _, rts = text.partition(",")
+        return cls(ModemLine(dtr), ModemLine(rts))
+
+
+_SERIAL_FORMAT_PATTERN = re.compile(
     r"(?P<baud>\d{1,8})(?:-(?P<data>[78])(?P<parity>[NEO])(?P<stop>[12]))?", re.ASCII
 )
 
@@ -98,7 +199,7 @@ class SerialFormat:
 
     @classmethod
     def _parse_settings(cls, text: str) -> Self:
-        match = _PATTERN.fullmatch(text.upper())
+        match = _SERIAL_FORMAT_PATTERN.fullmatch(text.upper())
         if match is None:
             raise UsageError(
                 f"line settings {text!r}: write baud, data bits, parity and stop bits, "

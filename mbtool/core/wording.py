@@ -92,7 +92,11 @@ def day(ts_ns: int) -> str:
 
 
 def host_of(address: str | None) -> str:
-    """Return the host of an address with a port: `fe80::1` for `[fe80::1]:502`; "" for None."""
+    """Return the host of an address: `fe80::1` for `[fe80::1]:502`, `10.0.0.9` for `10.0.0.9` and
+    `10.0.0.9:502`; "" for None.
+    """
     if address is None:
         return ""
-    return address.rpartition(":")[0].strip("[]")
+    if address.startswith("["):
+        return address[1:].partition("]")[0]
+    return address.rpartition(":")[0] or address

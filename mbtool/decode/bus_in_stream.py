@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import frame_size
-from mbtool.modbus.adu import Adu, Skipped
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import Adu, Skipped, crc
 from mbtool.modbus.expected_response import ExpectedResponse
 
 if TYPE_CHECKING:

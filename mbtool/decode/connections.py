@@ -151,7 +151,7 @@ class Bus:
 
 
 class ConnectionDecoder:
-    """Decodes a TCP connection between a master and a slave."""
+    """Decodes a TCP connection between a master and a slave, or their datagrams."""
 
     def __init__(
         self, connection: Connection, *, rtu: bool = False, joined: bool = False, timed: bool = True
@@ -160,6 +160,7 @@ class ConnectionDecoder:
         its bytes have no known times.
         """
         self._link = connection.link
+        self._is_udp = connection.is_udp
         master, slave = str(connection.master), str(connection.slave)
         self._endpoints = {
             Direction.REQUEST: (master, slave),
@@ -167,7 +168,9 @@ class ConnectionDecoder:
         }
         """By direction, the endpoints (host and port) of the sender and the receiver."""
         self._splitters: dict[Direction, MbapSplitter | RtuStreamSplitter] = {
-            each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
+            each: RtuStreamSplitter(each, is_udp=connection.is_udp)
+            if rtu
+            else MbapSplitter(each, by_segments=True, is_udp=connection.is_udp)
             for each in self._endpoints
         }
         self._pairing = NetworkPairing(Ends(self._link, master, slave, timed=timed), joined=joined)
@@ -192,6 +195,8 @@ class ConnectionDecoder:
         `place` is the payload's position in the stream; None if the source gives no positions.
         """
         self._last_ns = ts_ns
+        if self._is_udp:
+            return self._feed_datagram(direction, data, ts_ns, place)
         if self._bus is not None:
             return self._feed_bus(self._bus, direction, data, ts_ns, place)
         origin = None if place is None else place.origin
@@ -212,6 +217,15 @@ class ConnectionDecoder:
             return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]
         self._progress[direction].take(place, len(data))
         return self._placed(events, direction, ts_ns)
+
+    def _feed_datagram(
+        self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
+    ) -> list[Decoded]:
+        """Take a datagram: its bytes continue no earlier datagram."""
+        splitter = self._splitters[direction]
+        decoded = self._paired(splitter.restart(), direction)
+        origin = None if place is None else place.origin
+        return [*decoded, *self._paired(splitter.feed(data, ts_ns, origin), direction)]
 
     def _begin_bus(
         self,

@@ -42,6 +42,7 @@ from mbtool.decode.framed_line import FramedLine
 from mbtool.decode.line_timing import LineTiming
 from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState, ProvenSlaves
 from mbtool.decode.tap_pair import TapPair
+from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Adu, Transaction
 from mbtool.packets import (
@@ -57,6 +58,7 @@ from mbtool.packets import (
     serial_pieces,
 )
 from mbtool.packets.reassembler import MAX_CONNECTIONS
+from mbtool.packets.usb import USB_LINK_TYPES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -121,6 +123,7 @@ class Decoder:
         self._namer = namer
         self._lines = dict(lines or {})
         self._line = line or LineSettings(SerialFormat())
+        self._is_line_given = line is not None
         self._timing = timing or LineTiming()
         self._serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if line is not None else set())
         self._rtu_ports = frozenset(rtu_ports)
@@ -138,6 +141,9 @@ class Decoder:
         self._foreign_endpoints: set[str] = set()
         """Endpoints already reported as not Modbus, with `any_port`: the slave's, or both if the
         capture does not show who opened the connection."""
+        self._usb = UsbAdapters()
+        self._usb_lines: dict[str, SerialLink] = {}
+        """The links of USB adapters whose settings the capture has shown."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
@@ -149,8 +155,26 @@ class Decoder:
             return _HANDLERS[type(item)](self, item)
         if item.link_type in self._serial_types:
             return self._dispatch(serial_pieces(item))
+        if item.link_type in USB_LINK_TYPES:
+            return self._usb_packet(item)
         self._interfaces.add(item.link)
         return self._dispatch(self._reassembler.feed(item))
+
+    def _usb_packet(self, packet: Packet) -> list[Record]:
+        records: list[Record] = []
+        for piece in self._usb.feed(packet):
+            before = self._usb_lines.get(piece.link)
+            line = self._usb.line(piece.link)
+            if line is not None and before is not None and line != before:
+                records += self.end_line(piece.link)  # Its settings were changed.
+            if line is not None:
+                self._usb_lines[piece.link] = line
+            self._last_ns = max(self._last_ns, piece.ts_ns)
+            if isinstance(piece, Chunk):
+                records += self._chunk(piece)
+            else:
+                records += self._wire_event(piece)
+        return records
 
     def format_of(self, link: str) -> SerialFormat | None:
         """Return a serial link's settings with t1.5 and t3.5; None if its bytes have no times.
@@ -163,7 +187,10 @@ class Decoder:
 
     def line_of(self, link: str) -> SerialLink:
         """Return a serial link with its ports and its settings as the user gave them."""
-        return self._lines.get(link) or self._line.on(link)
+        known = self._lines.get(link)
+        if known is None and not self._is_line_given:
+            known = self._usb_lines.get(link)
+        return known or self._line.on(link)
 
     def begin_line(self, line: SerialLink) -> None:
         """Set the settings of the serial link named `line.name`, before its bytes are fed."""
@@ -460,7 +487,7 @@ def closing_event(ts_ns: int, connection: Connection, by: Direction) -> WireEven
 
 
 def _closing_text(closed: StreamClosed) -> str:
-    """The message of a CLOSED event; ConnectionEnd (core/events.py) reads it."""
+    """The message of a CLOSED event; ConnectionEnd (core/evidence.py) reads it."""
     whose = {Direction.REQUEST: " by the master", Direction.RESPONSE: " by the slave"}
     by = "" if closed.by is None else whose.get(closed.by, "")
     return f"{CONNECTION_CLOSED}{closed.reason}{by}"

@@ -4,23 +4,21 @@
 # to the pairing. The time of a frame is the time at which the program noted it, first byte and last
 # byte alike. A log without times gives the order of the frames only.
 #
-# A chunk that is no frame becomes a skipped event. Memory: that of the pairing.
+# A chunk that is no frame becomes a skipped event, one with a wrong CRC an event of that kind.
+# Memory: that of the pairing.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind
 from mbtool.decode.connections import skipped_event
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
-from mbtool.framing.rtu_lengths import MIN_FRAME
-from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport
-from mbtool.modbus.adu_bytes import crc
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.framing.rtu_lengths import MIN_FRAME, why_skipped
+from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, crc, read_frame
 
 if TYPE_CHECKING:
-    from mbtool.core import StreamPlace
+    from mbtool.core import Direction, StreamPlace
     from mbtool.decode.connections import Decoded
 
 
@@ -37,8 +35,9 @@ class FramedLine:
     ) -> list[Decoded]:
         """Take one frame, which was noted at `ts_ns`; return what it completes."""
         found = _parts(data)
-        if found is None:
-            skipped = Skipped(ts_ns, EventKind.SKIPPED, "no frame", data)
+        if found is None or not found[-1].ok:
+            kind, reason, check = why_skipped(data, (direction,))
+            skipped = Skipped(ts_ns, kind, reason, data, check)
             done = self._pairing.note_skipped(skipped)
             return [*done, skipped_event(skipped, self._link, ("", ""))]
         transport, unit, pdu, checksum = found

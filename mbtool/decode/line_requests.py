@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.modbus.expected_response import ExpectedResponse
-from mbtool.modbus.request_match import is_response_code
+from mbtool.modbus.expected_response import ExpectedResponse, is_response_code
 
 if TYPE_CHECKING:
     from mbtool.modbus.adu import Adu

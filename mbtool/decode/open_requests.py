@@ -7,9 +7,13 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.expected_response import UNKNOWN_SIZE, ExpectedResponse
+from mbtool.modbus.expected_response import (
+    UNKNOWN_SIZE,
+    ExpectedResponse,
+    is_response_code,
+    is_response_to,
+)
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.request_match import is_response_code, is_response_to
 
 SMALLEST_RESPONSE = 9
 """Bytes of the shortest response over Modbus/TCP: an exception response."""
@@ -89,7 +93,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
             return True  # The capture lacks bytes of the request: any form is possible.
         expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so faster than parse_pdu below.
         if response.missing:
-            size = response.size - _ADDED_BYTES[response.transport]
+            size = response.size - _ADDED_BYTES[response.transport.over_tcp]
             return expected is not None and expected.fits_start(response.pdu, size)
         if expected is not None and expected.fits(response.pdu):
             return True
@@ -109,7 +113,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         """The lengths, in bytes, that the response's ADU can have; empty if unknown."""
         if self.adu is None or self.adu.missing:
             return ()
-        added = _ADDED_BYTES[self.adu.transport]
+        added = _ADDED_BYTES[self.adu.transport.over_tcp]
         expected = ExpectedResponse.of(self.adu.pdu)
         if expected is None or expected.size == UNKNOWN_SIZE:
             return ()

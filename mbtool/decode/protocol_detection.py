@@ -9,7 +9,8 @@
 #   - after MAX_MALFORMED malformed ADUs, or fewer if the connection ends;
 #   - at the first gap and at the connection's end, unless the first bytes of each direction cannot
 #     begin an ADU (for Modbus/TCP: have another protocol id).
-# At all other ports, and for RTU if Modbus/TCP is expected, a candidate is accepted
+# Where Modbus/TCP is expected, there is a candidate for RTU unless the first segment cannot begin
+# with an RTU frame with a correct CRC. At all other ports, and for this RTU, it is accepted
 #   - with a request and its response, both of a known function and well formed, with equal
 #     transaction id and unit (Modbus/TCP) or correct CRCs (RTU); or
 #   - after ENOUGH_ADUS well-formed ADUs in a row. Random bytes look like that with a probability of
@@ -44,6 +45,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from enum import Enum, auto
+from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
@@ -144,14 +146,10 @@ class ProtocolDetector:
         """The number of bytes examined; a gap counts as GAP_BYTES."""
         self._held: list[WireEvent] = []
         roles = (False, True) if joined and not expected else (swapped,)
+        self._new_candidate = partial(_ProtocolCandidate, connection, joined=joined, timed=timed)
         self._candidates = [
-            _ProtocolCandidate(
-                connection,
-                rtu=framing,
-                swapped=swap,
-                expected=expected and not (framing and tcp),
-                joined=joined,
-                timed=timed,
+            self._new_candidate(
+                rtu=framing, swapped=swap, expected=expected and not (framing and tcp)
             )
             # RTU comes first: an RTU frame like 01 03 00 00 00 02 C4 0B is a Modbus/TCP ADU, too.
             for swap in roles
@@ -179,6 +177,8 @@ class ProtocolDetector:
         now, later = data[:room], data[room:]
         if not self._seen:
             self._first_ns = ts_ns
+            if not self._may_be_rtu and begins_with_frame(now, direction) is not False:
+                self._add_rtu()
         self._seen += len(now)
         self._first_bytes = _head(self._first_bytes, now)
         self._check_beginning(direction, now)
@@ -266,6 +266,12 @@ class ProtocolDetector:
         """The candidate for the protocol that is expected at the port; None if there is none."""
         return next((one for one in self._candidates if one.is_expected), None)
 
+    def _add_rtu(self) -> None:
+        """Add a candidate for RTU over TCP, which some gateways speak at the port of Modbus/TCP."""
+        is_swapped = self._candidates[0].is_swapped
+        rtu = self._new_candidate(rtu=True, swapped=is_swapped, expected=False)
+        self._candidates.insert(0, rtu)
+
     def _check_beginning(self, direction: Direction, data: bytes) -> None:
         """Add `data` to a direction's first bytes; drop candidates that cannot begin with them."""
         self._heads[direction] = _head(self._heads[direction], data)
@@ -279,7 +285,8 @@ class ProtocolDetector:
 
     def _is_tls(self) -> bool:
         """True if the first captured bytes of both directions are TLS records."""
-        if self._may_be_rtu:
+        heads = self._heads.items()
+        if self._may_be_rtu or any(begins_with_frame(head, one) for one, head in heads):
             return False
         return all(begins_tls_record(head) for head in self._heads.values())
 
@@ -374,7 +381,7 @@ class _ProtocolCandidate:
         self._connection = connection
         self.is_rtu = rtu
         self.slave = connection.slave
-        self._is_swapped = swapped
+        self.is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
         """Maps a direction in the capture to this candidate's: the ends may be exchanged."""
         self.is_expected = expected
@@ -390,7 +397,7 @@ class _ProtocolCandidate:
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
         """The decoder if it reads Modbus/TCP and master and slave are not exchanged; else None."""
-        return None if self.is_rtu or self._is_swapped else self.decoder
+        return None if self.is_rtu or self.is_swapped else self.decoder
 
     def feed_undecided(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
@@ -454,7 +461,7 @@ class _ProtocolCandidate:
 
         An event with raw bytes keeps its source and destination: they name who sent the bytes.
         """
-        if not self._is_swapped:
+        if not self.is_swapped:
             return event
         ends = event.source, event.destination
         ends = ends if event.raw else ends[::-1]

@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
 from mbtool.modbus.adu import Adu
+from mbtool.modbus.expected_response import is_response_code, is_response_to
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.request_match import is_response_code, is_response_to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

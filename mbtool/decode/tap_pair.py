@@ -44,8 +44,7 @@ from mbtool.decode.tap_alignment import (
 )
 from mbtool.decode.transactions import Ends
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import Adu, Skipped
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import Adu, Skipped, crc
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter

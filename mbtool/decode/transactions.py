@@ -9,7 +9,9 @@ from typing import Any
 import msgspec
 
 from mbtool.core import Direction, LinkAddresses, Origin
-from mbtool.modbus.adu import MAX_PDU, Adu, Verdict
+from mbtool.framing.mbap import PARTS_NS
+from mbtool.modbus.adu import MAX_PDU, Adu, Transport, Verdict
+from mbtool.modbus.expected_response import mismatch
 from mbtool.modbus.functions import (
     READ_BITS,
     READ_REGISTERS,
@@ -17,10 +19,8 @@ from mbtool.modbus.functions import (
     exception_name,
     function_name,
 )
-from mbtool.modbus.layouts import COIL_VALUES
-from mbtool.modbus.packing import words
+from mbtool.modbus.layouts import COIL_VALUES, words
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
 SURE = 0.8
@@ -320,7 +320,11 @@ def _record(
     answered = None if response is None else response.origin
     if asked is not None or answered is not None:
         add_origins(fields, asked, answered)
-    if request is not None and Verdict.LATE_PARTS in request.verdicts:
+    if (
+        request is not None
+        and request.transport is Transport.TCP
+        and request.end_ns - request.start_ns > PARTS_NS
+    ):
         fields["request_parts_ns"] = request.end_ns - request.start_ns
     return Transaction(
         link=ends.link,
@@ -371,6 +375,12 @@ def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin
             fields["source_mac"] = own.destination_mac or fields.get("source_mac")
             fields["destination_mac"] = own.source_mac
             fields["vlan"] = own.vlan
+        elif (
+            own is not None
+            and addresses is not None
+            and own.source_mac not in (None, addresses.destination_mac)
+        ):
+            fields["response_mac"] = own.source_mac
 
 
 def _values(pdu: Pdu) -> tuple[int, ...] | None:

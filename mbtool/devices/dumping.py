@@ -65,6 +65,11 @@ def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None 
     return "\n\n".join("\n".join(block) for block in blocks) + "\n"
 
 
+def dump_point(profile: Profile, point: Point, comment: Sequence[str] = ()) -> str:
+    """Return the TOML text of one point of a profile, with sentences to write as a comment."""
+    return "\n".join([*_comment(comment), "[[points]]", *_point(profile, point)])
+
+
 def _comment(sentences: Iterable[str]) -> list[str]:
     """Return each sentence as lines of a TOML comment, with ? in place of control characters."""
     lines: list[str] = []

@@ -34,8 +34,6 @@ Texts = dict[int, str]
 text its name."""
 
 WORD_BITS = 16
-READ_AND_WRITE = 0x17
-"""Function 17H, the only one that both reads and writes (Application Protocol, 6.17)."""
 
 
 class Radix(StrEnum):
@@ -375,6 +373,11 @@ class Profile(_Part, frozen=True, kw_only=True):
     notes: Annotated[
         list[str], _about("Sentences for readers: assumptions, contradictions in the manual.")
     ] = []
+
+    @property
+    def has_rules(self) -> bool:
+        """False if the profile only names points, and says nothing about areas and functions."""
+        return bool(self.areas or self.functions)
 
     def rule(self, function: int) -> FunctionRule | None:
         """The rule for a function; None if the device does not have it."""

@@ -22,10 +22,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.core.limits import LAST_UNIT
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.identity import answer_word, identity_points
 from mbtool.devices.joined_words import JoinedWords
-from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, Profile
+from mbtool.devices.model import AnswerWord, Point, Profile
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_checks import (
@@ -41,13 +42,18 @@ from mbtool.devices.profile_checks import (
     values_outside,
     written_by_17h,
 )
-from mbtool.devices.references import write_reference
+from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.response_checks import response_findings
 from mbtool.devices.scale_factors import ScaleFactors
-from mbtool.devices.standard_checks import LAST_UNIT, form_codes, request_codes
+from mbtool.devices.standard_checks import form_codes, request_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    MASK_WRITE_REGISTER,
+    READ_WRITE_REGISTERS,
+    TABLE_FUNCTIONS,
+)
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -57,7 +63,6 @@ if TYPE_CHECKING:
 
 _MAX_CACHED = 4096
 
-_MASK_WRITE = 0x16
 
 _WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
 """The outcomes of transactions that may have only a response and no request."""
@@ -166,7 +171,9 @@ class _Vocabulary:
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
-        self._device = profile.name if profile is not None else None
+        self._rules = profile if profile is not None and profile.has_rules else None
+        """The profile, if it states rules; None if it only names points."""
+        self._device = self._rules.name if self._rules is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
         """The points sorted by address. The key is the table and a flag: True for the points that a
         write may contain, False for those that a read may contain."""
@@ -270,7 +277,7 @@ class _Vocabulary:
         )
         findings = [*meaning.findings] if has_request else []
         findings += form_codes(transaction)
-        profile = self.profile
+        profile = self._rules
         if transaction.unit > self._last_unit and transaction.transport.is_serial:
             findings.append(unit_finding(profile, transaction.unit))
         if profile is not None:
@@ -286,7 +293,7 @@ class _Vocabulary:
                 findings += [undocumented] if undocumented is not None else []
             if self._ranges and transaction.request_values and meaning.written and points:
                 written = points
-                if transaction.function == READ_AND_WRITE:
+                if transaction.function == READ_WRITE_REGISTERS:
                     written = [point for point in points if point.written]
                 if values_outside(self._ranges, written):
                     findings.append(value_finding(profile, transaction.function))
@@ -328,7 +335,7 @@ class _Vocabulary:
     def _find_meaning(self, transaction: Transaction) -> _Meaning:
         function, address = transaction.function, transaction.address
         quantity = transaction.quantity
-        findings = tuple(request_findings(self.profile, transaction))
+        findings = tuple(request_findings(self._rules, transaction))
         title: str | None = None
         answer: PointInstance | None = None
         texts: Mapping[int, str] = {}
@@ -342,10 +349,10 @@ class _Vocabulary:
         known = FUNCTIONS.get(function)
         if known is None or known.table is None or address is None:
             return _Meaning(title, answer=answer, answer_texts=texts, findings=findings)
-        writes = known.writes and function != READ_AND_WRITE
+        writes = known.writes and function != READ_WRITE_REGISTERS
         reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
         points = self._points_in(known.table, address, max(quantity or 1, 1), writing=writes)
-        if function == READ_AND_WRITE and transaction.write_address is not None:
+        if function == READ_WRITE_REGISTERS and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
             said = transaction.written_quantity
             written = write_reference(self.profile, known.table, start, said, writing=True)
@@ -356,7 +363,7 @@ class _Vocabulary:
                 read=points,
                 findings=findings,
             )
-        if function == _MASK_WRITE:
+        if function == MASK_WRITE_REGISTER:
             points = ()
         return _Meaning(
             title,
@@ -401,7 +408,8 @@ class _Vocabulary:
         for address in span:
             if address not in named:
                 reference = write_reference(self.profile, table, address, writing=writing)
-                point = Point(name=reference, table=table, address=address, type=kind)
+                name = reference if self._rules is not None else f"{SHORT_WORDS[table]}{address}"
+                point = Point(name=name, table=table, address=address, type=kind)
                 points.append(PointInstance(point, address, reference))
         return sorted(points, key=lambda point: point.address)
 
@@ -421,7 +429,7 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     points: list[PointValue] = []
     if meaning.written and transaction.request_values:
         points += point_values(meaning.written, transaction.request_values)
-        if transaction.function == READ_AND_WRITE:
+        if transaction.function == READ_WRITE_REGISTERS:
             points = [msgspec.structs.replace(point, written=True) for point in points]
     if meaning.read and transaction.response_values:
         points += point_values(meaning.read, transaction.response_values)

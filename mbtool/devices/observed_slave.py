@@ -1,7 +1,8 @@
 """Observes one slave: which requests it got, how it responded, and samples of register values."""
 
-# The observations are used to find the profile that fits a slave (profile_match.py), and to draft a
-# profile (drafting/). Requests that are equal except for written values are counted together.
+# The observations are used to find the profile that fits a slave (profile_match.py), to draft a
+# profile (values/draft.py) and to find a value (values/finding.py). Requests that are equal except
+# for written values are counted together.
 #
 # Limits for each slave: MAX_REQUESTS different requests; further different requests are only
 # counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED different requests,
@@ -12,13 +13,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.devices.assignment import Who
 from mbtool.devices.identity import answer_word
-from mbtool.devices.model import READ_AND_WRITE
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_REQUESTS = 8192
 MAX_SAMPLED = 512
-MAX_ROWS = 64
+MAX_ROWS = 120
 MAX_TEXTS = 64
 
 
@@ -73,6 +74,8 @@ class Samples:
     rows: list[tuple[int, ...]] = field(default_factory=list)
     """One tuple for each sampled transaction: the values of its registers, in the order of their
     addresses."""
+    times_ns: list[int] = field(default_factory=list)
+    """The time of each row (UTC ns)."""
     count: int = 0
     """Number of transactions that had values, also of those that are not in `rows`."""
     changes: list[int] = field(default_factory=list)
@@ -81,7 +84,7 @@ class Samples:
     _last: tuple[int, ...] = ()
     _every: int = 1
 
-    def add(self, values: Sequence[int]) -> None:
+    def add(self, values: Sequence[int], at_ns: int = 0) -> None:
         row = tuple(values)
         if self._last and len(row) != len(self._last):
             return
@@ -93,18 +96,30 @@ class Samples:
         self._last = row
         if self.count % self._every == 0:
             self.rows.append(row)
+            self.times_ns.append(at_ns)
             if len(self.rows) > MAX_ROWS:
-                del self.rows[1::2]
+                del self.rows[1::2], self.times_ns[1::2]
                 self._every *= 2
         self.count += 1
+
+
+OnRow = Callable[["ObservedSlave", ObservedRequest, int, "Sequence[int]"], None]
+"""Gets the values of registers (the slave, the kind of request, the time in ns, the values)."""
 
 
 class ObservedSlave:
     """Collects the requests to one slave and its responses."""
 
     def __init__(
-        self, link: str, destination: str | None, unit: int, *, with_values: bool = False
+        self,
+        link: str,
+        destination: str | None,
+        unit: int,
+        *,
+        with_values: bool = False,
+        on_row: OnRow | None = None,
     ) -> None:
+        """With `with_values`, the values of registers are sampled. `on_row` gets all of them."""
         self.link = link
         self.destination = destination
         self.unit = unit
@@ -122,6 +137,7 @@ class ObservedSlave:
         """Number of transactions whose requests are not in `requests`, because that already has
         MAX_REQUESTS others."""
         self._with_values = with_values
+        self._on_row = on_row
 
     @property
     def who(self) -> Who:
@@ -144,7 +160,7 @@ class ObservedSlave:
     def note(self, transaction: Transaction) -> None:
         """Add one transaction of this slave."""
         self.transactions += 1
-        self.transports.add(transaction.transport)
+        self.transports.add(transaction.transport.over_tcp)
         if transaction.response_raw is not None and transaction.exception is None:
             self._note_identity(transaction)
         if not 0 < transaction.function < EXCEPTION_BIT:
@@ -161,18 +177,21 @@ class ObservedSlave:
             elif transaction.outcome in (Outcome.OK, Outcome.LATE, Outcome.UNSOLICITED):
                 replies.ok += 1
                 if self._with_values and values:
-                    self._sample(request, values)
+                    at_ns = transaction.response_ns or transaction.start_ns
+                    self._sample(request, values, at_ns)
             elif transaction.outcome is not Outcome.NOT_CAPTURED:
                 replies.silent += 1
 
-    def _sample(self, request: ObservedRequest, values: Sequence[int]) -> None:
+    def _sample(self, request: ObservedRequest, values: Sequence[int], at_ns: int) -> None:
         if request.table is None or request.table.is_bits:
             return
+        if self._on_row is not None:
+            self._on_row(self, request, at_ns, values)
         samples = self.samples.get(request)
         if samples is None and len(self.samples) < MAX_SAMPLED:
             samples = self.samples[request] = Samples()
         if samples is not None:
-            samples.add(values[: len(request.span)])
+            samples.add(values[: len(request.span)], at_ns)
 
     def _note_identity(self, transaction: Transaction) -> None:
         for one in identities(transaction):
@@ -197,7 +216,7 @@ def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[
         writes = known is not None and known.writes
         return [(ObservedRequest(function, None, None, 1, writes), None)]
     quantity = 1 if transaction.quantity is None else transaction.quantity
-    if function == READ_AND_WRITE and transaction.write_address is not None:
+    if function == READ_WRITE_REGISTERS and transaction.write_address is not None:
         written = transaction.request_values or []
         read = ObservedRequest(function, table, transaction.address, quantity, False)
         write = ObservedRequest(function, table, transaction.write_address, len(written), True)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.core.limits import LAST_UNIT
 from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.checking.rules import DeviceCode, rule_of
-from mbtool.devices.standard_checks import LAST_UNIT, is_quantity_wrong, request_codes
+from mbtool.devices.standard_checks import is_quantity_wrong, request_codes
 from mbtool.devices.values import point_instances
 from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 from mbtool.modbus.pdu import whole_pdu

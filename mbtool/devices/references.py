@@ -29,6 +29,15 @@ _NEUTRAL = {
 }
 
 
+SHORT_WORDS = {
+    Table.COILS: "C",
+    Table.DISCRETE_INPUTS: "DI",
+    Table.HOLDING_REGISTERS: "HR",
+    Table.INPUT_REGISTERS: "IR",
+}
+"""For each table, the letters before the address on the wire in a name that mbtool gives: HR10."""
+
+
 def write_reference(
     profile: Profile | None,
     table: Table,

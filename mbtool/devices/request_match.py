@@ -6,10 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.block_reads import can_be_read
-from mbtool.devices.model import READ_AND_WRITE, Profile
+from mbtool.devices.model import Profile
 from mbtool.devices.observed_slave import ObservedRequest
 from mbtool.devices.references import write_reference
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, ExceptionCode, function_name
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    READ_WRITE_REGISTERS,
+    WRITE_LIMIT_17H,
+    ExceptionCode,
+    function_name,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -107,7 +113,7 @@ def _observed(
     codes = profile.exceptions
     refusals = _REFUSALS | {codes.function, codes.address, codes.value}
     refused = refusals.intersection(replies.exceptions)
-    if request.function == READ_AND_WRITE:
+    if request.function == READ_WRITE_REGISTERS:
         refused &= {codes.function}
     elif request.writes and is_predicted and codes.value not in (codes.function, codes.address):
         refused -= {codes.value}
@@ -143,7 +149,7 @@ def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
     if table is None or request.address is None:
         return f"its manual has function {function:02X}", True
     known = FUNCTIONS.get(function)
-    if function == READ_AND_WRITE and request.writes:
+    if function == READ_WRITE_REGISTERS and request.writes:
         limit: int | None = rule.write_limit or WRITE_LIMIT_17H
     else:
         limit = rule.limit or (known.limit if known is not None else None)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Verdict
+from mbtool.modbus.expected_response import mismatch
 from mbtool.modbus.functions import (
     EXCEPTION_BIT,
     FUNCTIONS,
@@ -21,7 +22,6 @@ from mbtool.modbus.functions import (
     WRITE_SEVERAL,
 )
 from mbtool.modbus.pdu import parse_pdu, pdu_length, whole_pdu
-from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.tables import ADDRESSES
 from mbtool.modbus.transaction import Outcome
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
-LAST_UNIT = 247
 """The highest unit on a serial line; 248 to 255 are reserved (Serial Line 2.2)."""
 
 RESERVED = frozenset((9, 10, 13, 14, 41, 42, 91, 125, 126, 127))

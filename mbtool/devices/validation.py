@@ -10,13 +10,13 @@ import re
 from typing import TYPE_CHECKING, NoReturn
 
 from mbtool.core.errors import ProfileError, UsageError
-from mbtool.core.silence import Silence
-from mbtool.devices.model import READ_AND_WRITE, Access, Area, Point, Profile
+from mbtool.core.serial_format import Silence
+from mbtool.devices.model import Access, Area, Point, Profile
 from mbtool.devices.point_types import PointType
 from mbtool.devices.validation_of_characters import validate_characters
 from mbtool.devices.validation_of_points import PartErrors, validate_point
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, function_name
+from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS, WRITE_LIMIT_17H, function_name
 
 if TYPE_CHECKING:
     from mbtool.devices.model import FunctionRule
@@ -120,7 +120,7 @@ def _validate_functions(profile: Profile, file: str) -> None:
             errors.wrong(
                 "data", f"{rule.data!r}: two hexadecimal digits for each byte, like '0000'"
             )
-        if rule.write_limit is not None and code != READ_AND_WRITE:
+        if rule.write_limit is not None and code != READ_WRITE_REGISTERS:
             errors.wrong(
                 "write_limit", "only function 17 both reads and writes; 'limit' would be right"
             )

@@ -45,8 +45,16 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
+from mbtool.modbus.adu import (
+    MAX_PDU,
+    MBAP_BYTES,
+    Adu,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    mbap_size,
+)
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
@@ -63,6 +71,11 @@ MAX_REQUEST_NS = 1_000_000_000
 ns. It is the shortest time after which an FA3 module can be set to disconnect such a master (its
 manual, 10.3, register 00F5H)."""
 
+PARTS_NS = 30_000_000
+"""If more than this (ns) passed between the first and the last byte of a request, the transaction
+tells how much. A sender that waits for a delayed acknowledgement before it sends the rest waits
+longer; a sender that makes two segments at once does not."""
+
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"
 _HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
@@ -77,8 +90,13 @@ LONG_HEADER = re.compile(
 class MbapSplitter:
     """Takes the bytes of one direction of a Modbus/TCP stream; returns `Adu` and `Skipped`."""
 
-    def __init__(self, direction: Direction, *, by_segments: bool = False) -> None:
-        """`by_segments` is True if each call of `feed` brings the payload of one TCP segment."""
+    def __init__(
+        self, direction: Direction, *, by_segments: bool = False, is_udp: bool = False
+    ) -> None:
+        """`by_segments` is True if each call of `feed` brings the payload of one TCP segment,
+        `is_udp` if it brings one datagram.
+        """
+        self._transport = Transport.UDP if is_udp else Transport.TCP
         self._direction = direction
         self._by_segments = by_segments
         self._longest = LONGEST_LENGTH if by_segments else MAX_LENGTH
@@ -135,6 +153,12 @@ class MbapSplitter:
             ts_ns = self._buffer.first_ns
             held = self._buffer.take(len(self._buffer))
             events.append(Skipped(ts_ns, EventKind.SKIPPED, "an ADU that never ends", held))
+        return events
+
+    def restart(self) -> list[Adu | Skipped]:
+        """End a datagram: return the buffered bytes as `Skipped`; the next byte begins an ADU."""
+        events = self.close()
+        self._in_step = True
         return events
 
     def _first_size(self) -> int | None:
@@ -263,7 +287,7 @@ class MbapSplitter:
         return Adu(
             start_ns=start_ns,
             end_ns=end_ns,
-            transport=Transport.TCP,
+            transport=self._transport,
             direction=self._direction,
             direction_by=DirectionBy.PORT,
             confidence=1.0,

@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.modbus.adu import MAX_RTU_ADU, Checksum
-from mbtool.modbus.adu_bytes import CRC_BYTES, RTU_EXTRA_BYTES, crc, crc_on
+from mbtool.modbus.adu import (
+    CRC_BYTES,
+    CRC_TABLE,
+    MAX_RTU_ADU,
+    RTU_EXTRA_BYTES,
+    Checksum,
+    crc,
+)
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
@@ -77,16 +83,25 @@ def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
 
     The frame must have the size that its function tells for one of `directions`.
     """
-    tables = [(_FIXED[direction], direction) for direction in directions]
-    end = len(data)
-    for offset in range(end - MIN_FRAME + 1):
-        code = data[offset + 1]
-        for fixed, direction in tables:
-            size = fixed[code]
-            if not size and code in _VARIABLE:
-                size = frame_size(data[offset : offset + MAX_RTU_ADU], direction) or 0
-            if size and offset + size <= end and crc(data[offset : offset + size]) == 0:
-                return True
+    directions = tuple(directions)
+    return any(begins_frame(data, offset, directions) for offset in range(len(data)))
+
+
+def begins_frame(data: bytes, offset: int, directions: Iterable[Direction]) -> bool:
+    """True if a frame with a correct CRC begins at an offset of `data`.
+
+    The frame must have the size that its function tells for one of `directions`.
+    """
+    most = len(data) - offset
+    if most < MIN_FRAME:
+        return False
+    code = data[offset + 1]
+    for direction in directions:
+        size = _FIXED[direction][code]
+        if not size and code in _VARIABLE:
+            size = frame_size(data[offset : offset + MAX_RTU_ADU], direction) or 0
+        if size and size <= most and crc(data[offset : offset + size]) == 0:
+            return True
     return False
 
 
@@ -109,8 +124,8 @@ def crc_ends(start: bytes, most: int) -> list[int]:
     """
     sizes = []
     residue = crc(start[: MIN_FRAME - 1])
-    for size in range(MIN_FRAME, len(start) + 1):
-        residue = crc_on(residue, start[size - 1 : size])
+    for size, byte in enumerate(start[MIN_FRAME - 1 :], MIN_FRAME):
+        residue = CRC_TABLE[(residue ^ byte) & 0xFF] ^ residue >> 8
         if residue == 0:
             sizes.append(size)
             if len(sizes) == most:

@@ -17,8 +17,16 @@ from typing import TYPE_CHECKING
 from mbtool.framing.rtu_lengths import frame_size, why_skipped
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    Adu,
+    Checksum,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    crc,
+)
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
@@ -41,7 +49,9 @@ _BEGINNINGS = {direction: _beginnings(direction) for direction in LAYOUTS}
 class RtuStreamSplitter:
     """Takes the bytes of one direction of RTU over TCP; returns `Adu` and `Skipped` in order."""
 
-    def __init__(self, direction: Direction) -> None:
+    def __init__(self, direction: Direction, *, is_udp: bool = False) -> None:
+        """`is_udp` is True if each call of `feed` brings one datagram of UDP."""
+        self._transport = Transport.RTU_UDP if is_udp else Transport.RTU_TCP
         self._direction = direction
         self._beginnings = _BEGINNINGS[direction]
         self._buffer = TimedBuffer()
@@ -77,6 +87,10 @@ class RtuStreamSplitter:
         events = self._frames(ended=True)
         self._skips.end(events)
         return events
+
+    def restart(self) -> list[Adu | Skipped]:
+        """End a datagram: return the buffered bytes, as `close` does."""
+        return self.close()
 
     def _frames(self, *, ended: bool) -> list[Adu | Skipped]:
         """Remove and return frames and the bytes between them, up to an incomplete frame.
@@ -125,7 +139,7 @@ class RtuStreamSplitter:
             Adu(
                 start_ns=start_ns,
                 end_ns=end_ns,
-                transport=Transport.RTU_TCP,
+                transport=self._transport,
                 direction=self._direction,
                 direction_by=DirectionBy.PORT,
                 confidence=1.0,

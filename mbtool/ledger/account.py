@@ -20,7 +20,6 @@ from collections import Counter, OrderedDict
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.model import READ_AND_WRITE
 from mbtool.ledger.link_statistics import LinkStatistics
 from mbtool.ledger.master_tape import Lacks
 from mbtool.ledger.observation import Observation
@@ -31,14 +30,14 @@ from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
 from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
+    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun, ConnectionCounts
     from mbtool.ledger.master_tape import MasterTape
     from mbtool.ledger.request_tally import RequestTally
 
@@ -176,6 +175,8 @@ class Account:
         """Add a batch of answered requests at once. The counts are the same as if `add` was called
         for each.
         """
+        for counts in run.connections:
+            self._add_connections(counts)
         if not self._has_room(run):
             for one in run.transactions():
                 self._add_transaction(one)
@@ -361,10 +362,7 @@ class Account:
         self.events[event.kind] += 1
         self._damaged.note(event)
         if event.kind in _CONNECTIONS:
-            key = event.link, self._host(event.source)
-            tally = self.connections.get(key)
-            if tally is None and len(self.connections) < MAX_PAIRS:
-                tally = self.connections[key] = ConnectionTally()
+            tally = self._connection_tally(event.link, self._host(event.source))
             if tally is not None:
                 tally.add(event)
         place = _SUMS_OF_EVENTS.get(event.kind)
@@ -378,6 +376,21 @@ class Account:
             if link.transport is not None:  # The time before its first request is not watched.
                 link.other_bytes += len(event.raw)
         link.bad_checks += place is LinkSum.BAD_CHECK
+
+    def _add_connections(self, counts: ConnectionCounts) -> None:
+        """Count the openings and closings of connections in a batch."""
+        for kind, number in ((EventKind.OPENED, counts.opened), (EventKind.CLOSED, counts.closed)):
+            if number:
+                self.events[kind] += number
+        tally = self._connection_tally(counts.link, counts.host)
+        if tally is not None:
+            tally.add_whole(counts.opened, counts.closed, counts.most)
+
+    def _connection_tally(self, link: str, host: str) -> ConnectionTally | None:
+        tally = self.connections.get((link, host))
+        if tally is None and len(self.connections) < MAX_PAIRS:
+            tally = self.connections[link, host] = ConnectionTally()
+        return tally
 
     def _link(self, name: str) -> LinkStatistics:
         link = self.links.get(name)
@@ -440,7 +453,7 @@ class Account:
         """
         use.unit.transports.add(one.transport.value)
         is_refused = one.exception is not None
-        if one.function == READ_AND_WRITE:
+        if one.function == READ_WRITE_REGISTERS:
             use.widen(one.address, one.quantity, writes=False, is_refused=is_refused)
             use.widen(one.write_address, one.written_quantity, writes=True, is_refused=is_refused)
         else:

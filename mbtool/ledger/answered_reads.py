@@ -1,4 +1,4 @@
-"""Answered reads of a network, grouped by poll, for counts and values over time."""
+"""Answered reads and writes of a network, grouped by poll, for values over time."""
 
 # Capture files are decoded as arrays, which give many such reads at once.
 
@@ -39,23 +39,23 @@ class SlowRead(NamedTuple):
 
 
 class ReadValues(Protocol):
-    """The values of registers or bits in the responses to the reads of one poll."""
+    """The values of registers or bits that the reads or writes of one poll bring."""
 
     def last(self) -> list[int]:
-        """Return the values in the last response, one for each register or bit."""
+        """Return the last values, one for each register or bit."""
         ...
 
     def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
-        """The changes of the value at index `place` of the responses.
+        """The changes of the value at index `place` of each read or write.
 
-        `before` holds the values before the first response; None if they are unknown.
+        `before` holds the values before the first one; None if they are unknown.
         """
         ...
 
 
 @dataclass(slots=True)
 class AnsweredReads:
-    """Reads of one poll, of one or more masters: outcome OK, no verdicts, no retries.
+    """Reads or writes of one poll, of one or more masters: outcome OK, no verdicts, no retries.
 
     Each list has one element per read, in the order of the responses.
     """

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
 
 from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Sequence
+    from collections.abc import Hashable, Iterator
 
 P = TypeVar("P", bound="Hashable")
 
@@ -32,6 +33,23 @@ class AlikeRequests:
     """The time (UTC ns) of each request of the group, in the order of the responses."""
     latencies: list[int]
     """The latency (ns) of each request of the group, in the order of the responses."""
+    packets: Callable[[int], tuple[int, int]]
+    """Returns the numbers of the packets of the request with an index in the group, and of its
+    response."""
+
+
+class ConnectionCounts(NamedTuple):
+    """Connections of one master at one link that were opened, or closed with FIN, in a batch."""
+
+    link: str
+    host: str
+    """The master's host."""
+    opened: int
+    closed: int
+    most: int
+    """How many more connections than before the batch were open at some time in it, at most."""
+    first_opened_ns: int | None
+    """The time (UTC ns) of the first opening; None if there is none."""
 
 
 @dataclass(slots=True)
@@ -49,6 +67,8 @@ class AnsweredRun:
     """For each transaction, the index in `kinds` of its group."""
     request_ns: list[int]
     response_ns: list[int]
+    connections: Sequence[ConnectionCounts] = ()
+    """The openings and closings of connections among the transactions."""
 
     def __len__(self) -> int:
         return len(self.kind)

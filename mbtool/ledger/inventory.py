@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mbtool.devices.model import READ_AND_WRITE
 from mbtool.devices.references import write_reference
 from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.inventory_ranges import AddressRange, AddressRanges, without
@@ -25,7 +24,12 @@ from mbtool.ledger.inventory_rows import (
 from mbtool.ledger.observation import UNANSWERED
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.unit_account import UnitAccount, UseAccount
-from mbtool.modbus.functions import FUNCTIONS, GATEWAY_EXCEPTIONS, ExceptionCode
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    GATEWAY_EXCEPTIONS,
+    READ_WRITE_REGISTERS,
+    ExceptionCode,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -209,7 +213,7 @@ def _use_rows(one: _Use, profile: Profile | None) -> Iterator[FunctionUse]:
     function = use.key.function
     known = FUNCTIONS.get(function)
     is_write = known is not None and known.writes
-    for writes in (False, True) if function == READ_AND_WRITE else (is_write,):
+    for writes in (False, True) if function == READ_WRITE_REGISTERS else (is_write,):
         asked = use.ranges.get((writes, False), AddressRanges())
         refused = use.ranges.get((writes, True), AddressRanges())
         only_refused = without(refused.pairs, asked.pairs)

@@ -10,10 +10,10 @@ from enum import StrEnum
 
 import msgspec
 
+from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.ledger.inventory_ranges import AddressRange, joined
 
 INVENTORY_FORMAT = "mbtool-inventory-1"
-MODBUS_PORT = 502
 
 
 class Role(StrEnum):

@@ -75,6 +75,9 @@ class RequestOrder:
         (UTC ns). The result is the same as if `add` was called for each.
         """
         held = self._waiting
+        if len(held) + len(at_ns) < 2 * WINDOW:  # None of them is passed on.
+            held += zip(at_ns, polls, ends_ns, repeat(0), repeat(Lacks.NOTHING))
+            return
         at = [one[0] for one in held] + at_ns
         of_poll = [one[1] for one in held] + polls
         ends = [one[2] for one in held] + ends_ns

@@ -53,6 +53,16 @@ class ConnectionTally:
             self._open = max(self._open - 1, 0)
             self._note_end(ConnectionEnd.of(event) or ConnectionEnd(_OTHER))
 
+    def add_whole(self, opened: int, closed: int, most: int) -> None:
+        """Count connections that were opened, and others that were closed with FIN. At some time
+        `most` more than before were open.
+        """
+        self.opened += opened
+        self.most_at_once = max(self.most_at_once, self._open + most)
+        self._open = max(self._open + opened - closed, 0)
+        if closed:
+            self.closed["finished"] = self.closed.get("finished", 0) + closed
+
     def _note_end(self, end: ConnectionEnd) -> None:
         reason = end.reason if end.reason in _REASONS else _OTHER
         self.closed[reason] = self.closed.get(reason, 0) + 1

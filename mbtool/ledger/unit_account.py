@@ -104,6 +104,8 @@ class UnitAccount:
             self.device = one.device
         if one.destination_mac is not None:
             _note_mac(self.macs, one.destination_mac)
+        if one.response_mac is not None:
+            _note_mac(self.macs, one.response_mac)
 
     def note_failure(self, outcome: Outcome, at_ns: int) -> None:
         """Note that a request sent at `at_ns` had this outcome."""

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from mbtool.modbus import FUNCTIONS
+from mbtool.modbus.functions import READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +31,6 @@ _TABLES = {
     23: "holding.register",
 }  # fmt: skip
 _WRITES = frozenset((5, 6, 15, 16, 22, 23))
-_READ_WRITE = 23
 _SINGLE = frozenset((5, 6))
 
 
@@ -93,7 +93,7 @@ def _asked(one: NamedTransaction) -> dict[str, int | None]:
     if one.function not in _WRITES:
         return _data(one.function, one.address, one.quantity, ())
     data: dict[str, int | None] = {}
-    if one.function == _READ_WRITE:
+    if one.function == READ_WRITE_REGISTERS:
         data = _data(one.function, one.address, one.quantity, ())
         return data | _data(one.function, one.write_address, one.write_quantity, one.request_values)
     return _data(one.function, one.address, one.quantity, one.request_values)
@@ -102,7 +102,7 @@ def _asked(one: NamedTransaction) -> dict[str, int | None]:
 def _answered(one: NamedTransaction) -> dict[str, int | None]:
     """The values that a response has, or that a write has set."""
     values = one.response_values
-    if one.function in _WRITES and one.function != _READ_WRITE:
+    if one.function in _WRITES and one.function != READ_WRITE_REGISTERS:
         values = values or one.request_values
     return _data(one.function, one.address, one.quantity, values)
 

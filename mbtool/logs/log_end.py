@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from mbtool.logs.layout import MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
+from mbtool.logs.layout import MAGIC, MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
 
 if TYPE_CHECKING:
     from mbtool.core import InputError
@@ -40,9 +40,10 @@ def is_open_end(records: RecordStream) -> bool:
     )
 
 
-def check_end(records: RecordStream) -> None:
+def check_end(records: RecordStream, begin: int = 0) -> None:
     """Check the summary, the footer and the magic bytes that follow the DataEnd record.
 
+    The log begins at file offset `begin`, which is 0 unless other logs are before it.
     Raises CutError if the file ends before they are complete, DamageError if anything in them is
     damaged.
     """
@@ -67,9 +68,14 @@ def check_end(records: RecordStream) -> None:
         # being written.
         if offsets_start or crc:
             raise records.damaged(offset, _FOOTER_WRONG)
-    elif summary_start != start or crc not in (0, found):
+    elif summary_start + begin != start or crc not in (0, found):
         raise records.damaged(start, _SUMMARY_WRONG)
     records.read_magic()
+
+
+def begins_log(records: RecordStream) -> bool:
+    """True if another log follows behind the end of a log, as in a file made with `cat`."""
+    return records.look(len(MAGIC)) == MAGIC
 
 
 def _is_known(opcode: int) -> bool:

@@ -37,7 +37,7 @@ from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import EVIDENCE_ONLY, LIBRARY, PROFILE, READ_VERSIONS, Opcode
-from mbtool.logs.log_end import check_end, is_open_end
+from mbtool.logs.log_end import begins_log, check_end, is_open_end
 from mbtool.logs.message_decoder import MessageDecoder
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.records import RecordStream
@@ -238,6 +238,9 @@ class LogReader(ClosesOnExit):
         self.closed = not is_open_end(self._records)
         try:
             check_end(self._records)
+            if begins_log(self._records):
+                what = "another log begins here, behind the end of the first, and is not read"
+                raise self._records.damaged(self._records.position, what)
         except DamageError as error:
             self._damage.add(error)
 

@@ -5,6 +5,8 @@
 # GAP event, so that no decoder joins the bytes before the loss to those after it, and the metadata
 # record `mbtool.recovered` says how much was lost in all.
 #
+# A file may hold several logs, one behind the other; the new log has the messages of all.
+#
 # The channel of a message tells its topic. A channel is defined in the chunk that first uses it. If
 # that chunk is lost, the summary defines the channel; without a summary, the message's own fields
 # show its type.
@@ -40,7 +42,7 @@ from mbtool.logs.layout import (
     data_end,
     packed,
 )
-from mbtool.logs.log_end import check_end
+from mbtool.logs.log_end import begins_log, check_end
 from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
 from mbtool.logs.summary import LogSummary, read_summary
@@ -123,6 +125,8 @@ class Recovery:
         self._waiting: Hole | None = None
         """A lost part that is not yet reported: its end is the log time of the next message that is
         read. None if there is none."""
+        self._begin = 0
+        """The file offset at which the log begins that is being read."""
         self._ends = False
         self.result = Recovered()
 
@@ -342,9 +346,22 @@ class Recovery:
             what = "the CRC of the data section does not match"
             self._repaired(self._records.damaged(record.offset, what))
         try:
-            check_end(self._records)
+            check_end(self._records, self._begin)
         except InputError as error:
             self.result.remark = self.result.remark or str(error)
+            return
+        if begins_log(self._records):
+            self._begin_next()
+
+    def _begin_next(self) -> None:
+        """Go on with the log that begins behind the end of this one."""
+        self._begin = self._records.position
+        self._records.restart_crc()
+        self._records.take(len(MAGIC))
+        self._schemas.clear()
+        self._channels.clear()
+        self._by_channel.clear()
+        self._ends = False
 
     def _finish(self) -> None:
         self._tell(None)

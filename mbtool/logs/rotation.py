@@ -24,19 +24,19 @@ import msgspec
 
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
+from mbtool.core.moments import SECOND_NS
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import LogItem
 
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
-_SECOND_NS = 1_000_000_000
 _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -59,7 +59,7 @@ class Rotation:
             if suffix in _SIZES:
                 return cls(size=number * _SIZES[suffix])
             if suffix in _TIMES:
-                return cls(time_ns=number * _TIMES[suffix] * _SECOND_NS)
+                return cls(time_ns=number * _TIMES[suffix] * SECOND_NS)
         raise UsageError(
             f"rotation {text!r}: write a size in KB, MB or GB or a time in s, m, h or d, "
             "for example 100MB or 1h"
@@ -278,6 +278,15 @@ def parts_of(path: Path) -> list[Path]:
         return []
     found = [path.with_name(name) for name in names if numbered.fullmatch(name)]
     return sorted(found, key=part_number)
+
+
+def with_parts(paths: Iterable[str]) -> list[str]:
+    """Return the paths; in place of one where no file is, the parts of the log of that name."""
+    found: list[str] = []
+    for path in paths:
+        parts = [] if os.path.exists(path) else parts_of(Path(path))
+        found += [str(part) for part in parts] or [path]
+    return found
 
 
 def part_number(part: Path) -> int:

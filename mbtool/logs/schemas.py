@@ -83,6 +83,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "master": "The end that sends requests",
         "slave": "The end that responds",
         "number": "A number that differs between connections of the same ends",
+        "is_udp": "True for datagrams of UDP",
     },
     Endpoint: {"host": "The address", "port": "The TCP port"},
     PointValue: {

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.core.limits import LinkLimits
+from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import LONGEST_WAIT_S, RECONNECT_S, MasterLink, ReceivedResponse, TcpMaster
 from mbtool.modbus.adu import Transport
 
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from mbtool.core import TcpLink
     from mbtool.modbus.response import ConnectionEnding
 
-_NS = 1_000_000_000
-
 
 class ConnectionsMaster(MasterLink):
     """Sends requests on numbered connections."""
@@ -31,7 +30,7 @@ class ConnectionsMaster(MasterLink):
     def __init__(self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None]) -> None:
         """Prepare to connect to `link`; no connection is opened before `open` or `send`."""
         super().__init__()
-        self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
+        self.transport = Transport.at_endpoint(is_rtu=link.rtu, is_udp=False)
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._timeout_ns = timeout_ns
@@ -84,7 +83,7 @@ class ConnectionsMaster(MasterLink):
         self._masters[self._number].send(number, unit, pdu)
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
-        wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
+        wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
         sockets = {one.socket: one for one in self._masters.values() if one.socket is not None}
         if not sockets:
             time.sleep(wait_s)

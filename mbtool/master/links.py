@@ -31,9 +31,11 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import SECOND_NS
 from mbtool.core.wording import duration
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.master.other_master import (
+    FEW_BYTES,
     MARGIN_NS,
     MOST_LISTEN_NS,
     SILENT_LISTEN_NS,
@@ -53,7 +55,7 @@ from mbtool.serial_line import AsciiSplitter, RtuSplitter
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mbtool.core import TargetTls
+    from mbtool.core import Endpoint, TargetTls
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
@@ -70,13 +72,14 @@ _POLL_S = 0.001
 for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
 """The longest wait in ns for a pause of another master."""
+_LONGEST_LATER_TURN_NS = 180_000_000_000
+"""The same once a request was sent in a pause. Then there are long pauses, and a short one that was
+heard since, such as that before a request out of turn, is soon forgotten."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
-
-_NS = 1_000_000_000
 
 
 class ReceivedResponse(NamedTuple):
@@ -153,12 +156,14 @@ class MasterLink(ABC):
         is lost.
         """
         wait_ns = self._await_turn(unit, pdu)
+        while not self._is_turn():
+            wait_ns = self._await_turn(unit, pdu)
         self.receive(0)  # Drop late responses, which would be taken for this request's.
         self._unread.clear()
         self._asked += 1
         self.send(self._asked, unit, pdu)
         if unit == 0 and self.transport.is_serial:
-            time.sleep(self.limits.turnaround_ns / _NS)
+            time.sleep(self.limits.turnaround_ns / SECOND_NS)
             return Exchange(self._request, None, ())
         response = self._response if self._is_answered(wait_ns) else None
         return Exchange(self._request, response, tuple(self._unread))
@@ -177,8 +182,12 @@ class MasterLink(ABC):
         response.
         """
         if self.limits.pause_ns:
-            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / SECOND_NS)
         return self.limits.timeout_ns
+
+    def _is_turn(self) -> bool:
+        """False if the turn has passed since `_await_turn`, as this process was suspended."""
+        return True
 
     def _is_answered(self, wait_ns: int) -> bool:
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
@@ -234,7 +243,7 @@ def open_master(
     cannot be reached, TLS fails or the port cannot be opened, UsageError if a master cannot use
     such a link.
     """
-    if tls is not None and not (isinstance(link, TcpLink) and not link.rtu):
+    if tls is not None and (not isinstance(link, TcpLink) or link.rtu or link.is_udp):
         raise UsageError(f"link {link}: TLS is for Modbus/TCP, tcp:HOST:PORT")
     if isinstance(link, SerialLink):
         link.demand_one_port()
@@ -245,7 +254,11 @@ def open_master(
 
 
 class TcpMaster(MasterLink):
-    """A master that reaches slaves through a TCP connection: Modbus/TCP, or RTU over TCP."""
+    """A master that reaches slaves through a TCP connection (Modbus/TCP, or RTU over TCP), or with
+    datagrams of UDP.
+
+    A datagram has whole ADUs: bytes of two are never joined. A lost one is not sent again.
+    """
 
     def __init__(
         self,
@@ -259,7 +272,7 @@ class TcpMaster(MasterLink):
         if it cannot be reached.
         """
         super().__init__()
-        self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
+        self.transport = Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
@@ -300,7 +313,7 @@ class TcpMaster(MasterLink):
             self._lose()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
-        wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
+        wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
         if self.socket is None:
             time.sleep(wait_s)
             return ()
@@ -312,17 +325,22 @@ class TcpMaster(MasterLink):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
             why = failure(error, "slave")
+            if self._link.is_udp and isinstance(error, ConnectionRefusedError):
+                why = "its host answers that nobody listens at this port"
             if why is not None:
                 self._on_remark(f"mbtool: {self._link}: {why}")
             data, arrived_ns = b"", 0
             self.ended = ConnectionEnding.RESET
+        if not data and self._link.is_udp:
+            return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
             self._lose()
             return ()
+        rest = self._splitter.restart() if self._link.is_udp else []
         return [
             response
-            for event in self._splitter.feed(data, arrived_ns)
+            for event in [*rest, *self._splitter.feed(data, arrived_ns)]
             if (response := self._matched(event)) is not None
         ]
 
@@ -389,17 +407,23 @@ class TcpMaster(MasterLink):
     def _connect(self, timeout_s: float) -> socket.socket:
         endpoint = self._link.endpoint
         try:
-            connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
+            if self._link.is_udp:
+                connected = _datagram_socket(endpoint)
+            else:
+                connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
         except (OSError, UnicodeError) as error:
             unknown = why_unknown(error)
             hint = "does a slave listen there?" if unknown is None else "is the name right?"
             why = unknown or why_failed(error)
             raise LinkError(f"{self._link}: cannot be reached: {why}; {hint}") from error
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if not self._link.is_udp:
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
             connected = self._secured(connected, *self._tls)
         note_arrivals(connected)
-        self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(Direction.RESPONSE)
+        self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(
+            Direction.RESPONSE, is_udp=self._link.is_udp
+        )
         return connected
 
     def _secured(
@@ -415,6 +439,20 @@ class TcpMaster(MasterLink):
             raise LinkError(f"{self._link}: {why}") from error
 
 
+def _datagram_socket(endpoint: Endpoint) -> socket.socket:
+    """Open a socket that exchanges datagrams with one endpoint. Raises OSError, UnicodeError."""
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        endpoint.host, endpoint.port, type=socket.SOCK_DGRAM
+    )[0]
+    connected = socket.socket(family, kind, protocol)
+    try:
+        connected.connect(address)
+    except OSError:
+        connected.close()
+        raise
+    return connected
+
+
 class SerialMaster(MasterLink):
     """A master that reaches slaves through a serial port: RTU or ASCII."""
 
@@ -426,7 +464,7 @@ class SerialMaster(MasterLink):
             timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
         )
         self.link = link
-        self._port = open_port(link, link.format.t3_5_ns / _NS)
+        self._port = open_port(link, link.format.t3_5_ns / SECOND_NS)
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(
             link.format, speaker=Direction.RESPONSE
@@ -437,6 +475,13 @@ class SerialMaster(MasterLink):
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
         """The other master in whose pauses requests are sent; None if the line is ours alone."""
+        self._turns = 0
+        """The number of requests that were sent in its pauses."""
+        self._turn_ends_ns = 0
+        """The latest time (ns) at which the next request may be sent in the present pause."""
+        self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
+        """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
+        and True for a request of ours and for what comes until the next turn is awaited."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -454,7 +499,11 @@ class SerialMaster(MasterLink):
             rest_ns = until_ns - time.monotonic_ns()
             with port_in_use(self.link):
                 data, at_ns = self._read(min(max(rest_ns, 0), self.link.format.t3_5_ns))
+            if data:
+                self.on_bytes(data, at_ns, True)
             events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
+            for event in events:
+                self._note_intrusion(event)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
             responses = [self._matched(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0 and not data:
@@ -471,6 +520,7 @@ class SerialMaster(MasterLink):
         with port_in_use(self.link):
             self._port.write(raw)
             self._port.flush()
+        self.on_bytes(raw, time.monotonic_ns(), True)
 
     def overhear(self, wait_ns: int) -> tuple[bytes, int]:
         """Return bytes that others sent, and the time of the last one, in ns of the monotonic
@@ -479,7 +529,10 @@ class SerialMaster(MasterLink):
         Raises LinkError if the port is lost.
         """
         with port_in_use(self.link):
-            return self._read(wait_ns)
+            data, at_ns = self._read(wait_ns)
+        if data:
+            self.on_bytes(data, at_ns, False)
+        return data, at_ns
 
     def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:
         if listen_ns == 0:
@@ -508,32 +561,78 @@ class SerialMaster(MasterLink):
     def _await_turn(self, unit: int, pdu: bytes) -> int:
         if self._other is None:
             return super()._await_turn(unit, pdu)
-        known_ns = self._other.latency_ns(unit)
-        wait_ns = self.limits.timeout_ns
-        if known_ns is not None:
-            wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
-        needed_ns = self._on_line_ns(unit, pdu) + wait_ns + MARGIN_NS
-        longest_ns = self._other.longest_pause_ns
-        if needed_ns > longest_ns:
-            raise LinkError(
-                f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
-                f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
-                "sent. A shorter --timeout needs less, a longer --listen may find more"
-            )
-        # What has waited in the port since the last request came at times that nobody knows.
-        while self.overhear(0)[0]:
-            pass
-        self._other.listen_anew()
-        until_ns = time.monotonic_ns() + LONGEST_TURN_NS
-        while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
+        needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
+        if needed_ns > self._other.longest_pause_ns and not self._turns:
+            raise self._no_pause(self._other, unit, needed_ns)
+        if self._has_missed_bytes():
+            self._other.listen_anew(time.monotonic_ns())
+        until_ns = time.monotonic_ns() + self._longest_turn_ns
+        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
             if now_ns > until_ns:
-                raise LinkError(
-                    f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
-                    f"{duration(LONGEST_TURN_NS)}; the request was not sent"
-                )
+                raise self._no_pause(self._other, unit, needed_ns)
             self._other.feed(*self.overhear(self.link.format.t3_5_ns))
+            needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
+        self._turn_ends_ns = now_ns + rest_ns - needed_ns
         self._other.note_our_request()
+        self._turns += 1
         return wait_ns
+
+    def _is_turn(self) -> bool:
+        if self._other is None:
+            return True
+        return time.monotonic_ns() <= self._turn_ends_ns and not self._has_bytes(0.0)
+
+    @property
+    def _longest_turn_ns(self) -> int:
+        return _LONGEST_LATER_TURN_NS if self._turns else LONGEST_TURN_NS
+
+    def _needed_ns(self, other: OtherMaster, unit: int, pdu: bytes) -> tuple[int, int]:
+        """Return the length, in ns, of the pause that a request needs, and the wait for its
+        response in it.
+
+        The wait is the timeout, or twice the longest latency heard of the unit if only this fits
+        into a pause.
+        """
+        rest_ns = self._on_line_ns(unit, pdu) + MARGIN_NS
+        wait_ns = self.limits.timeout_ns
+        known_ns = other.latency_ns(unit)
+        if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
+            wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
+        return rest_ns + wait_ns, wait_ns
+
+    def _no_pause(self, other: OtherMaster, unit: int, needed_ns: int) -> LinkError:
+        longest_ns = other.longest_pause_ns
+        if needed_ns <= longest_ns or self._turns:
+            return LinkError(
+                f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
+                f"{duration(self._longest_turn_ns)}; the request was not sent"
+            )
+        return LinkError(
+            f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
+            f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
+            "sent. A shorter --timeout needs less, a longer --listen may find more"
+        )
+
+    def _has_missed_bytes(self) -> bool:
+        """Drop what has waited in the port since the last read, as it came at times that nobody
+        knows; True if there was any.
+        """
+        has_missed = False
+        while self.overhear(0)[0]:
+            has_missed = True
+        return has_missed
+
+    def _note_intrusion(self, event: Adu | Skipped) -> None:
+        """While a request of ours is pending, note bytes of others. Few bytes are noise, and a
+        frame of the unit asked is probably a late answer.
+        """
+        if self._other is None or self._pending is None:
+            return
+        if isinstance(event, Adu):
+            if event.unit != self._pending[1]:
+                self._other.note_intrusion(event.start_ns)
+        elif len(event.raw) >= FEW_BYTES:
+            self._other.note_intrusion(event.ts_ns)
 
     def _on_line_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with
@@ -554,7 +653,7 @@ class SerialMaster(MasterLink):
         """
         begin_ns = time.monotonic_ns()
         is_there = self._has_bytes(0.0)
-        has_bytes = is_there or self._has_bytes(wait_ns / _NS)
+        has_bytes = is_there or self._has_bytes(wait_ns / SECOND_NS)
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         return data, self._arrivals.arrived_ns(

@@ -3,16 +3,25 @@
 # Bytes go through the splitter of a line that is only heard (serial_line), which says which frames
 # are requests. Each different request is a poll of the other master.
 #
-# After a response the other master leaves the line silent until its next request. The shortest
-# silence that was heard behind a poll is the pause that one can rely on, once LEAST_SEEN were
-# heard. If the splitter decides late that a response was whole, less of the pause is left, and
-# nothing is sent in it.
+# After a response the other master leaves the line silent until its next request. The shortest of
+# the last MAX_PAUSES silences that were heard behind a poll is the pause that one can rely on, once
+# LEAST_SEEN were heard. If the splitter decides late that a response was whole, less of the pause
+# is left, and nothing is sent in it.
 #
-# Memory: at most MAX_POLLS different requests, and what the splitter holds.
+# A pause also ends where a poll with a steady period is due: a master that asks at fixed times
+# pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
+# whose time has come and that was not heard is awaited, as it may come at any moment.
+#
+# If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
+# noted, too.
+#
+# Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, and what the splitter
+# holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, LinkError
@@ -34,11 +43,14 @@ MOST_LISTEN_NS = 5_000_000_000
 LEAST_SEEN = 3
 """So often a pause must have been heard before a request is sent in it."""
 MAX_POLLS = 256
+MAX_PAUSES = 64
 MARGIN_NS = 20_000_000
 """A request must fit into a pause with this much time to spare, in ns. USB adapters deliver bytes
 up to 16 ms late."""
 RELIABLE = 0.9
 """The share of the shortest pause heard that counts as the next one's length."""
+_STOPPED = 1.5
+"""A poll that is not heard for so many of its longest periods is no longer awaited."""
 FEW_BYTES = 8
 """Fewer bytes than these, without a right frame among them, are noise and not another speaker."""
 _NAMED = 3
@@ -53,23 +65,39 @@ class HeardPoll:
     times: int = 1
     first_ns: int = 0
     last_ns: int = 0
-    shortest_pause_ns: int | None = None
-    """The shortest silence heard between the end of its response and the next request."""
-    pauses: int = 0
-    """The number of silences heard behind its responses."""
     longest_latency_ns: int = 0
+    pauses: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
+    """The last silences heard between the end of its response and the next request."""
+    shortest_period_ns: int = 0
+    """The shortest time between two of these requests; 0 if it was heard once."""
+    longest_period_ns: int = 0
+    is_followed: bool = True
+    """True if nothing on the line was missed since the last of these requests."""
 
-    def note_pause(self, pause_ns: int) -> None:
-        known_ns = self.shortest_pause_ns
-        self.shortest_pause_ns = pause_ns if known_ns is None else min(known_ns, pause_ns)
-        self.pauses += 1
+    def note_request(self, at_ns: int) -> None:
+        """Note that the request was heard again, and ended at the time `at_ns`."""
+        if self.times and self.is_followed:
+            period_ns = at_ns - self.last_ns
+            self.shortest_period_ns = min(self.shortest_period_ns or period_ns, period_ns)
+            self.longest_period_ns = max(self.longest_period_ns, period_ns)
+        self.times += 1
+        self.last_ns, self.is_followed = at_ns, True
 
     @property
     def pause_ns(self) -> int:
         """The silence, in ns, that surely follows the response; 0 if it was heard too rarely."""
-        if self.shortest_pause_ns is None or self.pauses < LEAST_SEEN:
-            return 0
-        return round(self.shortest_pause_ns * RELIABLE)
+        return round(min(self.pauses) * RELIABLE) if len(self.pauses) >= LEAST_SEEN else 0
+
+    @property
+    def due_ns(self) -> int | None:
+        """The earliest time at which the request should begin again; None if it has no steady
+        period.
+        """
+        spread_ns = self.longest_period_ns - self.shortest_period_ns
+        if 2 * spread_ns >= self.shortest_period_ns:
+            return None
+        begun_ns = self.last_ns - (self.request.end_ns - self.request.start_ns)
+        return begun_ns + self.shortest_period_ns - spread_ns
 
     def note_latency(self, latency_ns: int) -> None:
         self.longest_latency_ns = max(self.longest_latency_ns, latency_ns)
@@ -107,6 +135,10 @@ class OtherMaster:
         """The poll whose response is to come."""
         self._answered: tuple[HeardPoll, int] | None = None
         """The poll whose response was the last frame, and the end of that frame in ns."""
+        self._used: tuple[HeardPoll, int] | None = None
+        """The same of the pause in which our last request was sent."""
+        self._anew_ns = 0
+        """The time since which nothing on the line was missed."""
 
     def feed(self, data: bytes, at_ns: int) -> None:
         """Take bytes that were heard, the last of them at the time `at_ns`; or no bytes, if the
@@ -135,7 +167,7 @@ class OtherMaster:
     def _take_frame(self, adu: Adu) -> None:
         if self._answered is not None:
             poll, end_ns = self._answered
-            poll.note_pause(adu.start_ns - end_ns)
+            poll.pauses.append(adu.start_ns - end_ns)
             self._answered = None
         if adu.direction is Direction.RESPONSE:
             if self._asked is not None and self._asked.request.unit == adu.unit:
@@ -148,8 +180,7 @@ class OtherMaster:
             known = HeardPoll(adu, 0, adu.end_ns)
             if len(self.polls) < MAX_POLLS:
                 self.polls[adu.raw] = known
-        known.times += 1
-        known.last_ns = adu.end_ns
+        known.note_request(adu.end_ns)
         self._asked = known
 
     @property
@@ -164,7 +195,16 @@ class OtherMaster:
         if self._answered is None or self._last_byte_ns > self._answered[1]:
             return 0
         poll, end_ns = self._answered
-        return max(0, poll.pause_ns - (now_ns - end_ns))
+        until_ns = end_ns + poll.pause_ns
+        for one in self.polls.values():
+            due_ns = one.due_ns
+            if due_ns is None:
+                continue
+            if due_ns > now_ns:
+                until_ns = min(until_ns, due_ns)
+            elif now_ns < max(one.last_ns, self._anew_ns) + _STOPPED * one.longest_period_ns:
+                return 0
+        return max(0, until_ns - now_ns)
 
     @property
     def longest_pause_ns(self) -> int:
@@ -176,14 +216,28 @@ class OtherMaster:
         heard = [one.longest_latency_ns for one in self.polls.values() if one.request.unit == unit]
         return max(heard, default=0) or None
 
-    def listen_anew(self) -> None:
-        """Forget what was heard last, as bytes may have been missed since; the polls stay known."""
+    def listen_anew(self, now_ns: int) -> None:
+        """Forget what was heard last, as bytes were missed before `now_ns`; keep the polls."""
         self._splitter.close()
         self._answered = self._asked = None
+        self._anew_ns = now_ns
+        for one in self.polls.values():
+            one.is_followed = False
 
     def note_our_request(self) -> None:
         """Note that a request of ours fills the present pause, so that no other one is sent."""
+        self._used = self._answered
         self._answered = self._asked = None
+
+    def note_intrusion(self, at_ns: int) -> None:
+        """Note that somebody else began to speak at `at_ns`, while our request was pending: the
+        pause was shorter than it seemed.
+        """
+        if self._used is not None:
+            poll, end_ns = self._used
+            poll.pauses.append(max(at_ns - end_ns, 0))
+            self._used = None
+        self.listen_anew(at_ns)
 
     def demand_free(self) -> None:
         """Raise LinkError if somebody else speaks on the line; its text says who asks what."""

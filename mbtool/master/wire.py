@@ -2,10 +2,12 @@
 
 # A test bench needs bytes that a master never sends: a wrong CRC, half an ADU, two at once. What
 # comes back ends with a silence on a serial line, and on TCP with the last of the ADUs that were
-# awaited, the end of the connection, or the timeout.
+# awaited, the end of the connection, or the timeout. A pause inside an answer is only noted if the
+# port was watched when it began, so that a busy machine makes none.
 
 from __future__ import annotations
 
+import select
 import socket
 import time
 from abc import ABC, abstractmethod
@@ -13,11 +15,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.adu import MAX_ASCII_ADU
-from mbtool.modbus.adu_bytes import crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import (
+    CRC_BYTES,
+    MAX_ASCII_ADU,
+    MBAP_BYTES,
+    RTU_EXTRA_BYTES,
+    crc,
+    mbap_size,
+    read_frame,
+)
+from mbtool.modbus.expected_response import EXCEPTION_SIZE, ExpectedResponse
+from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.ports.host_names import why_failed
 
 if TYPE_CHECKING:
@@ -25,13 +36,16 @@ if TYPE_CHECKING:
 
     from mbtool.core import LinkSpec
 
-_MBAP = 7
+_ASCII_END = b"\r\n"
 QUIET_NS = 300_000_000
 """Bytes that must get no answer have got none if nothing comes for this time, in ns."""
 _LEAST_GAP_NS = 40_000_000
 """After a whole response on a serial line further bytes are awaited for at least this time, in ns:
 USB adapters deliver bytes in blocks up to 16 ms apart."""
-_NS = 1_000_000_000
+_REST_NS = 500_000_000
+"""The rest of an answer on a serial line is awaited for this time (ns) after its last byte."""
+_SHOWN = 32
+"""So many bytes of a damaged answer are shown."""
 
 
 class HeardAdu(NamedTuple):
@@ -52,8 +66,12 @@ class Heard(NamedTuple):
     """The time from the last byte sent to the first byte that came back, in ns."""
     is_closed: bool = False
     """True if the slave closed the TCP connection."""
+    was_closed: bool = False
+    """True if it had closed it before the bytes were sent, so that a new one was opened."""
+    longest_pause_ns: int = 0
+    """The longest silence inside the answer that was surely heard, in ns; 0 on TCP."""
     rest: bytes = b""
-    """What came behind the last ADU on TCP."""
+    """What came behind the last ADU on TCP and in ASCII."""
 
 
 class Wire(ABC):
@@ -74,6 +92,17 @@ class Wire(ABC):
         Waits for `awaited` ADUs on TCP; with 0, as for bytes that get no answer, at most QUIET_NS.
         Raises LinkError if the link is lost.
         """
+
+    @abstractmethod
+    def hear(self, wait_ns: int) -> Heard:
+        """Return what comes without a request, for at most `wait_ns` ns until its first byte.
+
+        Raises LinkError if the link is lost.
+        """
+
+    @abstractmethod
+    def damage(self, raw: bytes, request: bytes) -> str:
+        """Say why the bytes of an answer are no ADU; `request` is the PDU that was sent."""
 
     def _wait_ns(self, awaited: int) -> int:
         return self.timeout_ns if awaited else min(self.timeout_ns, QUIET_NS)
@@ -97,6 +126,11 @@ def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
     Raises LinkError if the slave cannot be reached, or another master asks on the line, UsageError
     for a link on which nobody answers.
     """
+    if isinstance(link, TcpLink) and link.is_udp:
+        raise UsageError(
+            f"link {link}: a test sends pieces of ADUs, which UDP cannot; test the slave over TCP "
+            "or on its serial line"
+        )
     if isinstance(link, TcpLink):
         return TcpWire(link, timeout_ns)
     if not isinstance(link, SerialLink):
@@ -130,26 +164,48 @@ class SerialWire(Wire):
                 raise LinkError(f"{self._master.link}: somebody else speaks without a pause")
         for number, piece in enumerate(pieces):
             if number:
-                time.sleep(pause_ns / _NS)
+                time.sleep(pause_ns / SECOND_NS)
             self._master.send_bytes(piece)
-        sent_ns = time.monotonic_ns()
-        raw, first_ns = b"", 0
-        until_ns = sent_ns + self._wait_ns(awaited)
-        last_ns = until_ns + MAX_ASCII_ADU * self._format.character_ns
-        while (now_ns := time.monotonic_ns()) < min(until_ns, last_ns):
-            data, _ = self._master.overhear(until_ns - now_ns)
+        return self.hear(self._wait_ns(awaited))
+
+    def hear(self, wait_ns: int) -> Heard:
+        sent_ns = looked_ns = time.monotonic_ns()
+        raw, first_ns, longest_ns = b"", 0, 0
+        until_ns = sent_ns + wait_ns
+        last_ns = until_ns + _REST_NS + MAX_ASCII_ADU * self._format.character_ns
+        while looked_ns < min(until_ns, last_ns):
+            data, _ = self._master.overhear(until_ns - looked_ns)
+            now_ns = time.monotonic_ns()
             if data:
-                first_ns = first_ns or time.monotonic_ns()
+                longest_ns = max(longest_ns, now_ns - looked_ns) if raw else 0
+                first_ns = first_ns or now_ns
                 raw += data
-                is_whole = bool(self._adus(raw))
-                until_ns = time.monotonic_ns() + (
-                    self._gap_ns if is_whole else self._wait_ns(awaited)
-                )
-        return Heard(raw, self._adus(raw), first_ns - sent_ns if first_ns else 0)
+                until_ns = now_ns + (self._gap_ns if self._adus(raw) else _REST_NS)
+            looked_ns = now_ns
+        return Heard(
+            raw,
+            self._adus(raw),
+            first_ns - sent_ns if first_ns else 0,
+            rest=raw.rpartition(_ASCII_END)[2] if self._master.link.ascii else b"",
+            longest_pause_ns=longest_ns,
+        )
+
+    def damage(self, raw: bytes, request: bytes) -> str:
+        if not self._master.link.ascii:
+            return _rtu_damage(raw, request)
+        first, end, _ = raw.partition(_ASCII_END)
+        if not end:
+            return f"a frame without its end, CR LF: {_shown(raw)}"
+        frame = read_frame(first + end)
+        if frame is None or frame.checksum.ok:
+            return f"bytes that are no frame: {_shown(raw)}"
+        received, computed = frame.checksum.received, frame.checksum.computed
+        return f"a wrong LRC: {received:02x}, right is {computed:02x}"
 
     def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
         if self._master.link.ascii:
-            frames = [read_frame(part + b"\r\n") for part in raw.split(b"\r\n") if part]
+            *parts, _ = raw.split(_ASCII_END)
+            frames = [read_frame(part + _ASCII_END) for part in parts]
             return tuple(
                 HeardAdu(one.body[0], one.body[1:])
                 for one in frames
@@ -191,41 +247,83 @@ class TcpWire(Wire):
         if self._socket is None:
             self.renew()
         assert self._socket is not None
-        raw, first_ns, is_closed = b"", 0, False
+        was_closed = self._is_ended()
         try:
             for number, piece in enumerate(pieces):
                 if number:
-                    time.sleep(pause_ns / _NS)
+                    time.sleep(pause_ns / SECOND_NS)
                 self._socket.sendall(piece)
-            sent_ns = time.monotonic_ns()
-            until_ns = sent_ns + self._wait_ns(awaited)
-            while (not awaited or len(self._adus(raw)) < awaited) and not is_closed:
+        except OSError:
+            self.close()
+            return Heard(b"", (), 0, is_closed=True, was_closed=was_closed)
+        return self._heard(self._wait_ns(awaited), awaited, was_closed=was_closed)
+
+    def hear(self, wait_ns: int) -> Heard:
+        return self._heard(wait_ns, 1)
+
+    def _heard(self, wait_ns: int, awaited: int, *, was_closed: bool = False) -> Heard:
+        raw, first_ns, is_closed = b"", 0, self._socket is None
+        sent_ns = time.monotonic_ns()
+        until_ns = sent_ns + wait_ns
+        try:
+            while (not awaited or len(self._adus(raw)) < awaited) and self._socket is not None:
                 rest_ns = until_ns - time.monotonic_ns()
                 if rest_ns <= 0:
                     break
-                self._socket.settimeout(rest_ns / _NS)
+                self._socket.settimeout(rest_ns / SECOND_NS)
                 data = self._socket.recv(READ_BYTES)
                 first_ns = first_ns or time.monotonic_ns()
                 raw += data
-                is_closed = not data
+                if not data:
+                    is_closed = True
+                    self.close()
         except TimeoutError:
             pass
         except OSError:
-            sent_ns, is_closed = time.monotonic_ns(), True
-        if is_closed:
+            is_closed = True
             self.close()
         adus = self._adus(raw)
-        size = 0 if self._link.rtu else sum(_MBAP + len(one.pdu) for one in adus)
+        size = 0 if self._link.rtu else sum(MBAP_BYTES + len(one.pdu) for one in adus)
         after_ns = max(first_ns - sent_ns, 0) if raw else 0
-        return Heard(raw, adus, after_ns, is_closed, raw[size:] if adus and size else b"")
+        rest = raw[size:] if adus and size else b""
+        return Heard(raw, adus, after_ns, is_closed, was_closed, rest=rest)
+
+    def _is_ended(self) -> bool:
+        """Open the connection again if the slave has ended it; True if it had.
+
+        Bytes that came since the last answer are dropped.
+        """
+        assert self._socket is not None
+        try:
+            while select.select([self._socket], [], [], 0)[0]:
+                if not self._socket.recv(READ_BYTES):
+                    break
+            else:
+                return False
+        except OSError:
+            pass
+        self.renew()
+        return True
+
+    def damage(self, raw: bytes, request: bytes) -> str:
+        if self._link.rtu:
+            return _rtu_damage(raw, request)
+        if len(raw) >= MBAP_BYTES:
+            protocol, size = int.from_bytes(raw[2:4]), mbap_size(raw)
+            if protocol:
+                return f"protocol id {protocol:04X}, right is 0000"
+            if len(raw) < size:
+                return f"{len(raw)} bytes of an ADU of {size}: {_shown(raw)}"
+        return f"bytes that are no ADU: {_shown(raw)}"
 
     def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
         if self._link.rtu:
             is_right = len(raw) >= 4 and crc(raw[:-2]) == int.from_bytes(raw[-2:], "little")
             return (HeardAdu(raw[0], raw[1:-2]),) if is_right else ()
         adus = []
-        while len(raw) > _MBAP and len(raw) >= (size := mbap_size(raw[:_MBAP])) > _MBAP:
-            adus.append(HeardAdu(raw[6], raw[_MBAP:size], int.from_bytes(raw[:2])))
+        while raw[2:4] == b"\0\0" and MBAP_BYTES < mbap_size(raw) <= len(raw):
+            size = mbap_size(raw)
+            adus.append(HeardAdu(raw[6], raw[MBAP_BYTES:size], int.from_bytes(raw[:2])))
             raw = raw[size:]
         return tuple(adus)
 
@@ -233,3 +331,22 @@ class TcpWire(Wire):
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+def _rtu_damage(raw: bytes, request: bytes) -> str:
+    """Say why bytes are no answer in RTU to the request with this PDU."""
+    expected = ExpectedResponse.of(request)
+    sizes = [EXCEPTION_SIZE, *([expected.size] if expected is not None else ())]
+    for size in (one + RTU_EXTRA_BYTES for one in sizes):
+        if size <= len(raw) and not crc(raw[:size]):
+            return f"{_shown(raw[size:])} behind the answer"
+    is_exception = raw[1:2] == bytes([request[0] | EXCEPTION_BIT])
+    size = (EXCEPTION_SIZE if is_exception else sizes[-1]) + RTU_EXTRA_BYTES
+    if len(raw) == size:
+        right = crc(raw[:-CRC_BYTES]).to_bytes(CRC_BYTES, "little")
+        return f"a wrong CRC: {raw[-CRC_BYTES:].hex(' ')}, right is {right.hex(' ')}"
+    return f"{len(raw)} bytes, where the answer has {size}: {_shown(raw)}"
+
+
+def _shown(raw: bytes) -> str:
+    return raw[:_SHOWN].hex(" ")

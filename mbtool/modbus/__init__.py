@@ -1,7 +1,6 @@
 """The Modbus protocol: parses and encodes PDUs, ADUs and transactions. No I/O."""
 
-from mbtool.modbus.adu import Adu, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Adu, Skipped, Transport, Verdict, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.functions import (
     FUNCTIONS,
     TABLE_FUNCTIONS,

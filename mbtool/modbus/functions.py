@@ -9,19 +9,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mbtool.modbus.group_layouts import FileGroups, FileResponses, Objects
 from mbtool.modbus.layouts import (
     Bits,
     Bytes,
     Choice,
     CoilValue,
+    FileGroups,
+    FileResponses,
     Layout,
+    Objects,
     Registers,
     UncountedRegisters,
 )
 from mbtool.modbus.tables import Table
 
 EXCEPTION_BIT = 0x80
+
+WRITE_SINGLE_COIL = 0x05
+DIAGNOSTICS = 0x08
+FORCE_LISTEN_ONLY = 4  # a sub-function of DIAGNOSTICS
+MASK_WRITE_REGISTER = 0x16
+READ_WRITE_REGISTERS = 0x17
+"""Function codes that other rooms name; the sets below hold the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

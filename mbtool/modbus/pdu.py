@@ -21,10 +21,8 @@ from __future__ import annotations
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import MAX_PDU, Transport
-from mbtool.modbus.adu_bytes import mbap_size
-from mbtool.modbus.ascii_frame import read_frame
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_SEVERAL
+from mbtool.modbus.adu import MAX_PDU, Transport, mbap_size, read_frame
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
 _EXCEPTION = Layout(("exception_code", 1))
@@ -99,7 +97,7 @@ def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
     if direction is Direction.REQUEST and isinstance(values, tuple | list):
         if code in WRITE_SEVERAL:
             fields.setdefault("quantity", len(values))
-        elif code == 0x17:
+        elif code == READ_WRITE_REGISTERS:
             fields.setdefault("write_quantity", len(values))
     pdu = bytes([code]) + LAYOUTS[direction][code].encode(fields)
     if len(pdu) > MAX_PDU:
@@ -129,9 +127,9 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
     Raises IndexError if the ADU is too short to have a unit, ValueError if it is no ASCII frame.
     """
     match transport:
-        case Transport.TCP:
+        case Transport.TCP | Transport.UDP:
             return raw[6], raw[7:]
-        case Transport.RTU | Transport.RTU_TCP:
+        case Transport.RTU | Transport.RTU_TCP | Transport.RTU_UDP:
             return raw[0], raw[1:-2]
         case Transport.ASCII:
             frame = read_frame(raw)
@@ -148,7 +146,7 @@ def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
     """
     if raw is None:
         return None
-    if transport is Transport.TCP and len(raw) != mbap_size(raw):
+    if transport.has_mbap and len(raw) != mbap_size(raw):
         return None
     try:
         _, pdu = pdu_of(transport, raw)

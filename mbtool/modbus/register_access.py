@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
 from mbtool.core import Direction
-from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    READ_WRITE_REGISTERS,
+    TABLE_FUNCTIONS,
+    WRITE_LIMIT_17H,
+)
 from mbtool.modbus.layouts import COIL_VALUES
 from mbtool.modbus.pdu import encode_pdu
 from mbtool.modbus.tables import ADDRESSES, Table
@@ -42,7 +47,7 @@ def register_access(request: Pdu) -> RegisterAccess | None:
     function = FUNCTIONS[request.code]
     table = cast("Table", function.table)
     addressed = _addresses(_number(request, "address"), request.number("quantity"))
-    if request.code == 0x17:
+    if request.code == READ_WRITE_REGISTERS:
         written = _addresses(_number(request, "write_address"), request.number("write_quantity"))
         access = RegisterAccess(table, addressed, written)
     elif function.writes:
@@ -100,7 +105,7 @@ def _is_allowed(access: RegisterAccess, request: Pdu, limit: int) -> bool:
 
     A request of 17H must do both, and may write at most WRITE_LIMIT_17H registers.
     """
-    if request.code == 0x17:
+    if request.code == READ_WRITE_REGISTERS:
         return 1 <= len(access.reads) <= limit and 1 <= len(access.writes) <= WRITE_LIMIT_17H
     return 1 <= len(access.reads or access.writes) <= limit
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Annotated
 
 import msgspec
 
+from mbtool.core.wording import host_of
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SHOWN = 8
+"""The repr of a transaction has at most this many values."""
 
 # These types give the ranges of numbers. They are checked only when JSON is read, as any program
 # may have written it.
@@ -113,13 +119,13 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     request_parts_ns: Annotated[
         Nanoseconds | None,
         about(
-            "Nanoseconds from the first to the last byte of a Modbus/TCP request, if over 1 s",
+            "Nanoseconds from the first to the last byte of a Modbus/TCP request, if over 30 ms",
             42,
             42,
         ),
     ] = None
-    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than 1
-    s (verdict late-parts); otherwise None."""
+    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than
+    30 ms; otherwise None."""
     response_ns: Annotated[
         Nanoseconds | None,
         about("When the response was complete on the wire, UTC nanoseconds", 1, 19),
@@ -183,6 +189,14 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
         str | None, about("The MAC address of the slave's packets", 39, 39)
     ] = None
     """The MAC address that the slave's packets have."""
+    response_mac: Annotated[
+        str | None,
+        about(
+            "The MAC address that the response came from, if the request went to another", 43, 43
+        ),
+    ] = None
+    """The MAC address that the response came from; None if the request was sent to the same one. It
+    differs behind a pair of routers, and if somebody has put himself in between (ARP spoofing)."""
     vlan: Annotated[
         Word | None, about("The VLAN of the packets: the id of the innermost tag", 40, 40)
     ] = None
@@ -208,3 +222,39 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     def start_ns(self) -> int:
         """The end of the request, or of the response if there is no request, in UTC ns."""
         return self.request_ns if self.request_ns is not None else self.response_ns or 0
+
+    @property
+    def time(self) -> datetime:
+        """The same time as `start_ns`, rounded down to microseconds, in UTC."""
+        return _EPOCH + timedelta(microseconds=self.start_ns // 1000)
+
+    @property
+    def master(self) -> str | None:
+        """The master's address, without the port; None on a serial line."""
+        return None if self.source is None else host_of(self.source)
+
+    @property
+    def slave(self) -> str | None:
+        """The slave's address, without the port; None on a serial line."""
+        return None if self.destination is None else host_of(self.destination)
+
+    @property
+    def latency_ms(self) -> float | None:
+        """The time from the end of the request to the start of the response, in ms."""
+        return None if self.latency_ns is None else self.latency_ns / 1e6
+
+    def __repr__(self) -> str:
+        what = getattr(self, "reference", None)
+        if what is None and self.address is not None:
+            what = f"{self.address} x {self.quantity or 1}"
+        words = [self.time.isoformat(" "), self.link, f"unit {self.unit}", self.function_name]
+        words += [what] if what else []
+        words += [f":= {_short(self.request_values)}"] if self.request_values else []
+        words += [f"-> {_short(self.response_values)}"] if self.response_values else []
+        words += [self.outcome.value] if self.exception_name is None else [self.exception_name]
+        words += [] if self.latency_ms is None else [f"{self.latency_ms:.1f} ms"]
+        return f"<{type(self).__name__} {' '.join(words)}>"
+
+
+def _short(values: list[int]) -> str:
+    return " ".join(map(str, values[:_SHOWN])) + (" ..." if len(values) > _SHOWN else "")

@@ -4,11 +4,17 @@ Opens no file.
 """
 
 from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
-from mbtool.packets.line_packets import CaptureHead, LinePacket, reads_of
+from mbtool.packets.line_packets import (
+    SERIAL_LINK_TYPES,
+    USER_LINK_TYPES,
+    CaptureHead,
+    LinePacket,
+    reads_of,
+    serial_pieces,
+)
 from mbtool.packets.pcap import PCAP_MAGICS
 from mbtool.packets.pcapng import PCAPNG_MAGIC
 from mbtool.packets.reassembler import TcpReassembler
-from mbtool.packets.serial_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from mbtool.packets.stream_events import (
     CloseReason,
     StreamClosed,

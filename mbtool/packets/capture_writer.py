@@ -13,6 +13,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+from mbtool.core.moments import SECOND_NS
 from mbtool.packets.pcap import MAX_CAPTURED
 from mbtool.packets.pcapng import (
     BLOCK_ENHANCED,
@@ -41,7 +42,6 @@ _NAMES_BLOCK = 4
 _IPV4_NAME = 1
 _NANOSECONDS = b"\x09"
 _MAX_COMMENT = 4000
-_NS_PER_SECOND = 1_000_000_000
 
 
 class InterfaceSettings(NamedTuple):
@@ -61,7 +61,7 @@ class PcapWriter:
         stream.write(struct.pack("<IHHiIII", magic, 2, 4, 0, 0, MAX_CAPTURED, link_type))
 
     def write(self, packet: Packet) -> None:
-        seconds, ns = divmod(packet.ts_ns, _NS_PER_SECOND)
+        seconds, ns = divmod(packet.ts_ns, SECOND_NS)
         sizes = len(packet.data), packet.original_length
         self._stream.write(struct.pack("<IIII", seconds & 0xFFFFFFFF, ns, *sizes) + packet.data)
 

@@ -42,6 +42,7 @@
 from __future__ import annotations
 
 from mbtool.core import Connection, Direction, EventKind, Origin, WireEvent
+from mbtool.core.wording import in_ms
 from mbtool.packets.ended_connection import WINDOW, begins_another
 from mbtool.packets.plain_bytes import PlainBytes, RestPlace
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
@@ -65,6 +66,10 @@ SYN_PATIENCE_NS = 1_000_000_000
 (ns) after it: a master waits at least 1 s before it sends a SYN again (RFC 6298, 2)."""
 HOLE_NS = 10_000_000_000
 """Bytes behind a hole (missing bytes) wait this long, in ns, for a retransmission to fill it."""
+RETRANSMISSION_NS = 50_000_000
+"""A copy of a segment that comes at least this long (ns) after the last new bytes of its sender was
+sent again. Senders wait 200 ms or longer (RFC 6298, 2.4 says 1 s; Linux and Windows take less); a
+mirror port, or a capture of both sides of a router, gives its copy within some ms."""
 
 _WITHOUT_END = frozenset((CloseReason.REPLACED, CloseReason.IDLE, CloseReason.CAPTURE_END))
 
@@ -394,6 +399,8 @@ class TcpConnection:
                 message = "bytes that came after their gap was told"
                 self._report(sender, EventKind.DISCARDED, message, piece.ts_ns, late)
             differs = sender.differs_from_delivered(piece.start, piece.data)
+            if not (late or differs):
+                self._note_sent_again(sender, piece)
             fresh = piece.part(sender.position, piece.end)
         if piece.end > sender.position:
             if fresh.start == sender.position and not sender.held and self._is_due(fresh, other):
@@ -403,6 +410,15 @@ class TcpConnection:
         if differs:
             message = "a segment sent again differs from its first copy, which is kept"
             self._report(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
+
+    def _note_sent_again(self, sender: Stream, piece: HeldBytes) -> None:
+        """Report the first retransmission of a segment; a probe of one byte is none."""
+        waited_ns = piece.ts_ns - sender.latest[1]
+        is_new = sender.latest[1] > 0 and sender.sent_again != piece.start
+        if len(piece.data) > 1 and waited_ns >= RETRANSMISSION_NS and is_new:
+            sender.sent_again = piece.start
+            message = f"a TCP segment sent again after {in_ms(waited_ns)} ms"
+            self._report(sender, EventKind.SENT_AGAIN, message, piece.ts_ns, piece.data)
 
     def _report(self, sender: Stream, kind: EventKind, text: str, ts_ns: int, raw: bytes) -> None:
         ends = self.identity.master, self.identity.slave

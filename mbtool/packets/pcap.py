@@ -23,6 +23,7 @@ import struct
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from mbtool.core import CutError, DamageError, InputError, Packet
+from mbtool.core.moments import SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +33,6 @@ MAX_CAPTURED = 256 * 1024
 PCAP_HEADER = 24
 """The length of the file header, with its magic, in bytes."""
 
-_NS_PER_SECOND = 1_000_000_000
 
 # By the magic's bytes in the file: the byte order of the file, the nanoseconds in one unit of the
 # fraction, and the number of bytes that the header of each record has beyond the usual 16.
@@ -85,7 +85,7 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             raise cut_error(name, number)
         number += 1
         yield Packet(
-            ts_ns=seconds * _NS_PER_SECOND + fraction * unit_ns,
+            ts_ns=seconds * SECOND_NS + fraction * unit_ns,
             link="if0",
             link_type=link_type,
             data=data,

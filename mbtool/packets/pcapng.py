@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import msgspec
 
 from mbtool.core import DamageError, InputError, Packet
+from mbtool.core.moments import SECOND_NS
 from mbtool.packets.line_packets import (
     LOCAL_BLOCK,
     LOCAL_OPTION,
@@ -55,7 +56,6 @@ OPTION_RESOLUTION = 9
 _OPTION_OFFSET = 14
 _MICROSECONDS = b"\x06"
 
-_NS_PER_SECOND = 1_000_000_000
 _MAX_NS = 2**63 - 1
 _MAX_NAME = 64
 
@@ -278,7 +278,7 @@ class PcapngReader:
         name = _clean(options.get(OPTION_NAME, b""))
         resolution = (options.get(OPTION_RESOLUTION) or _MICROSECONDS)[0]
         unit = (2 if resolution & 0x80 else 10) ** (resolution & 0x7F)
-        common = math.gcd(unit, _NS_PER_SECOND)
+        common = math.gcd(unit, SECOND_NS)
         offset = options.get(_OPTION_OFFSET, b"")
         offset_s = self._layout.offset.unpack(offset)[0] if len(offset) == 8 else 0
         self.interfaces.append(
@@ -286,9 +286,9 @@ class PcapngReader:
                 link=name or f"if{len(self.interfaces)}",
                 link_type=link_type,
                 snaplen=snaplen,
-                multiplier=_NS_PER_SECOND // common,
+                multiplier=SECOND_NS // common,
                 divisor=unit // common,
-                offset_ns=offset_s * _NS_PER_SECOND,
+                offset_ns=offset_s * SECOND_NS,
             )
         )
 

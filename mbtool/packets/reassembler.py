@@ -21,6 +21,8 @@
 #
 # Packets inside tunnels, which switches use to mirror over a network, are followed (tunnels.py).
 #
+# Datagrams of UDP from or to a wanted port are followed as well (udp_flows.py).
+#
 # IP fragments are reassembled first (fragments.py). If that fails, an event of the connection is
 # reported if the ports are known and wanted. If the ports are unknown, because the first fragment
 # is missing, one event is reported for each interface.
@@ -42,12 +44,21 @@ from mbtool.packets.fragments import (
     find_fragment,
     fragment_events,
 )
-from mbtool.packets.link_addresses import link_addresses
-from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
-from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, endpoint, find_tcp, read_segment
-from mbtool.packets.serial_packets import USER_LINK_TYPES
+from mbtool.packets.line_packets import USER_LINK_TYPES
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, link_addresses
+from mbtool.packets.segment import (
+    ACK,
+    RST,
+    SYN,
+    TcpSegment,
+    endpoint,
+    find_tcp,
+    read_datagram,
+    read_segment,
+)
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
-from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
+from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, VXLAN_PORT, find_inner
+from mbtool.packets.udp_flows import UdpFlows
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
@@ -91,6 +102,7 @@ class TcpReassembler:
         wait began."""
         self._opened = 0
         self._fragments = Fragments()
+        self._udp = UdpFlows(ports, across=across)
         self._checked_ns = 0
         self._reported: set[tuple[str, str]] = set()
         self._out: list[StreamItem] = []
@@ -239,6 +251,8 @@ class TcpReassembler:
                 scope = "" if self._across else link
                 self._finish(self._fragments.feed(fragment, ts_ns, link, scope), ts_ns)
                 return
+            if self._feed_udp(packet, at):
+                return
             at = find_inner(data, at, length)
             self._ip_at = 0  # MAC addresses outside a tunnel are not the master's or slave's.
             if at == GRE_IN_FRAGMENTS:
@@ -246,6 +260,27 @@ class TcpReassembler:
                 self._report(ts_ns, link, EventKind.UNREADABLE, message)
             if at < 0 or self._feed_ip(data, at, length, ts_ns, link):
                 return
+
+    def _feed_udp(self, packet: Packet, at: int) -> bool:
+        """Take the IP packet at offset `at`; return False if it is no datagram of a wanted port."""
+        datagram = read_datagram(packet.data, at, packet.original_length)
+        ports = self._ports
+        if datagram is None or not (
+            datagram.source_port in ports or datagram.destination_port in ports
+        ):
+            return False
+        if VXLAN_PORT in (datagram.source_port, datagram.destination_port):
+            return False
+        self._out += self._udp.feed(datagram, packet.ts_ns, packet.link, self._origin())
+        return True
+
+    def _origin(self) -> Origin | None:
+        """The origin of the bytes of the packet that is being read; None if it is unknown."""
+        packet = self._packet
+        if packet is None:
+            return None
+        addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
+        return Origin(packet.file, packet.number, addresses)
 
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
         """Take the IP packet at offset `at` of `data`; return False if it is a fragment or no TCP.
@@ -329,11 +364,7 @@ class TcpReassembler:
             self._connections[key] = connection
         self._connections.move_to_end(key)
         self._followed = connection
-        origin: Origin | None = None
-        packet = self._packet
-        if segment.payload and packet is not None:
-            addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
-            origin = Origin(packet.file, packet.number, addresses)
+        origin = self._origin() if segment.payload else None
         holds_bytes = connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
         if holds_bytes and isinstance(connection, TcpConnection):
             # _advance removes a connection from `_holding` when it holds back no more bytes.

@@ -1,4 +1,4 @@
-"""Finds the TCP segment in an IPv4 or IPv6 packet."""
+"""Finds the TCP segment or the UDP datagram in an IPv4 or IPv6 packet."""
 
 # Checksums are not verified, since network cards fill them in after the capture. A packet whose
 # header has contradictory lengths is ignored. Bytes behind the end of the IP packet (Ethernet
@@ -27,10 +27,13 @@ RST = 0x04
 ACK = 0x10
 
 MAX_PAYLOAD = 1024 * 1024
+_UDP_SIZE = 8
 
 TCP = 6
+UDP = 17
 _IPV4 = struct.Struct(">BxH2xHxB")
 _IPV6 = struct.Struct(">HB")
+_UDP_HEADER = struct.Struct(">HHH")
 _TCP_HEADER = struct.Struct(">HHIIBB")
 
 # Extension headers that stand before TCP (RFC 8200, section 4; RFC 6275; RFC 7401; RFC 5533).
@@ -65,26 +68,41 @@ class TcpSegment(msgspec.Struct, frozen=True, gc=False):
     """The number of bytes at the end of the payload that the capture did not keep."""
 
 
-def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
+class UdpDatagram(msgspec.Struct, frozen=True, gc=False):
+    """A UDP datagram with its addresses (4 or 16 bytes), ports and payload."""
+
+    source: bytes
+    source_port: int
+    destination: bytes
+    destination_port: int
+    number: int
+    """The identification field of the IPv4 header; 0 in IPv6."""
+    payload: bytes
+    missing: int
+    """The number of bytes at the end of the payload that the capture did not keep."""
+
+
+def find_tcp(data: bytes, at: int, original_length: int, protocol: int = TCP) -> TcpPlace | None:
     """Find TCP in the IP packet that begins at `at`; None if it holds no TCP, or is a fragment.
 
-    `original_length` is the number of bytes that `data`, the captured packet, had on the wire.
+    With another `protocol` (UDP), find that one. `original_length` is the number of bytes that
+    `data`, the captured packet, had on the wire.
     fragments.py reassembles packets that came in fragments.
     """
     if len(data) < at + 20:
         return None
     version = data[at] >> 4
     if version == 4:
-        first, total, fragment, protocol = _IPV4.unpack_from(data, at)
+        first, total, fragment, found = _IPV4.unpack_from(data, at)
         header = (first & 0x0F) * 4
-        if protocol != TCP or header < 20 or fragment & 0x3FFF:
+        if found != protocol or header < 20 or fragment & 0x3FFF:
             return None
         end = at + total if total else original_length
         start = at + header
         return TcpPlace(start, end) if start <= end else None
     if version == 6 and len(data) >= at + 40:
         end, following, start = walk_ipv6(data, at, original_length)
-        return TcpPlace(start, end) if following == TCP and start <= end else None
+        return TcpPlace(start, end) if following == protocol and start <= end else None
     return None
 
 
@@ -111,6 +129,33 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
         following = data[start]
         start += size
     return end, following, start
+
+
+def read_datagram(data: bytes, at: int, original_length: int) -> UdpDatagram | None:
+    """Read the UDP datagram of the IP packet that begins at `at`; None if it holds none, or if the
+    datagram is malformed.
+    """
+    place = find_tcp(data, at, original_length, UDP)
+    if place is None or len(data) < place.start + _UDP_HEADER.size:
+        return None
+    source_port, destination_port, length = _UDP_HEADER.unpack_from(data, place.start)
+    begin = place.start + _UDP_SIZE
+    end = min(place.start + length, place.end, original_length)
+    if length < _UDP_SIZE or end < begin:
+        return None
+    is_four = data[at] >> 4 == 4
+    addresses = at + 12 if is_four else at + 8
+    size = 4 if is_four else 16
+    payload = data[begin:end]
+    return UdpDatagram(
+        data[addresses : addresses + size],
+        source_port,
+        data[addresses + size : addresses + 2 * size],
+        destination_port,
+        int.from_bytes(data[at + 4 : at + 6]) if is_four else 0,
+        payload,
+        end - begin - len(payload),
+    )
 
 
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:

@@ -94,6 +94,7 @@ class Stream:
         "origin",
         "position",
         "sent",
+        "sent_again",
         "syn_end",
     )
 
@@ -121,6 +122,8 @@ class Stream:
         self.sent = 0
         """The highest byte offset up to which the sender had sent its bytes, as the sequence number
         of a segment without bytes shows."""
+        self.sent_again = -1
+        """The byte offset of the last segment that was reported as sent again."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)

@@ -32,7 +32,7 @@ GRE_IN_FRAGMENTS = -2
 MAX_TUNNELS = 4
 """If tunnels are nested, at most this many of them are followed."""
 
-_VXLAN_PORT = (4789).to_bytes(2)
+VXLAN_PORT = 4789
 _VXLAN_FLAG = 0x08
 
 GRE = 47
@@ -93,7 +93,7 @@ def _behind_gre(data: bytes, at: int) -> int:
 
 
 def _behind_vxlan(data: bytes, at: int) -> int:
-    if data[at + 2 : at + 4] != _VXLAN_PORT:
+    if int.from_bytes(data[at + 2 : at + 4]) != VXLAN_PORT:
         return NOT_IP
     inner = behind_ethernet(data, at + 16)
     return inner if inner != NOT_IP and data[at + 8] & _VXLAN_FLAG else NOT_IP

@@ -20,13 +20,39 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from serial.tools import list_ports
 
 from mbtool.core.local_ports import Holder, LocalSerialPort, PortTrouble
-from mbtool.ports.port_holders import holders_of
 from mbtool.ports.serial_port import who_may
-from mbtool.ports.system_files import read_line, read_number
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+# Reads the small files of /sys and /proc. A file that cannot be read is taken as empty.
+
+
+def read_text(path: Path) -> str:
+    """Return the whole text of a file; "" if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def read_line(path: Path) -> str:
+    """The first line of a file, without white space around it; "" if it cannot be read."""
+    return read_text(path).partition("\n")[0].strip()
+
+
+def read_number(path: Path) -> int | None:
+    """The number in the first line of a file, decimal or 0x...; None if there is none."""
+    try:
+        return int(read_line(path), 0)
+    except ValueError:
+        return None
+
 
 _SERIAL_CORE = "serial-base"
 """The name of a bus in /sys. Since Linux 6.5 it has devices between a port and the port's hardware;
@@ -247,3 +273,139 @@ def _fifo(fifo: int | None, name: str) -> list[PortTrouble]:
 def _natural(name: str) -> list[tuple[str, int]]:
     """Return a key for sorting that puts ttyS2 before ttyS10."""
     return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D+)(\d*)", name)]
+
+
+# Finds a serial port again after it was unplugged, under whatever name it comes back.
+#
+# A USB adapter that is unplugged while its port is open comes back as /dev/ttyUSB1, not ttyUSB0. On
+# Linux its serial number identifies it; an adapter with several ports has a USB interface for each.
+# A path that is a symbolic link (/dev/serial/by-id/...) is resolved again. Any other port, and an
+# adapter without a serial number, is expected under its old path.
+#
+#     /sys/class/tty/NAME/device      leads to the hardware
+#     .../idVendor, idProduct, serial of the USB device above it
+#     .../bInterfaceNumber            of the USB interface above it
+
+_ROOT = Path("/")
+
+
+@dataclass(frozen=True, slots=True)
+class PortIdentity:
+    """The facts that tell the USB adapter behind a port from all other adapters."""
+
+    usb_id: str
+    serial_number: str
+    interface: str
+    """The number of the port's USB interface in the adapter, such as "00"; each port of an adapter
+    has its own."""
+
+
+def identity_of(path: str, root: Path = _ROOT) -> PortIdentity | None:
+    """Return the identity of the USB adapter behind a port.
+
+    Returns None if `path` is a symbolic link, if the port has no USB adapter with a serial number,
+    and on other systems than Linux.
+
+    `root` is the folder that contains /sys.
+    """
+    if sys.platform != "linux" or os.path.islink(path):
+        return None
+    return _identity(root / "sys/class/tty" / os.path.basename(path))
+
+
+def find_port(path: str, identity: PortIdentity | None, root: Path = _ROOT) -> str | None:
+    """Find the present path of the port that had the path `path` before; None if it is not there.
+
+    If `identity` is None, the port is expected under its old path. `root` is the folder that
+    contains /sys and /dev.
+    """
+    if identity is None:
+        return path if os.path.exists(path) else None
+    folder = root / "sys/class/tty"
+    try:
+        names = sorted(os.listdir(folder))
+    except OSError:
+        return None
+    for name in names:
+        device = root / "dev" / name
+        if _identity(folder / name) == identity and device.exists():
+            return str(device)
+    return None
+
+
+def _identity(tty: Path) -> PortIdentity | None:
+    hardware = Path(os.path.realpath(tty / "device"))
+    interface = ""
+    for device in (hardware, *hardware.parents):
+        interface = interface or read_line(device / "bInterfaceNumber")
+        vendor = read_line(device / "idVendor")
+        if vendor:
+            serial = read_line(device / "serial")
+            usb_id = f"{vendor}:{read_line(device / 'idProduct')}"
+            return PortIdentity(usb_id, serial, interface) if serial else None
+    return None
+
+
+# Finds the processes that have a serial port open. Linux only.
+#
+# /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port, as
+# opening a port could change its control lines. Only root can look into the processes of other
+# users; the processes that cannot be looked into are counted.
+
+
+def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
+    """Return the processes that have each port open, and the number of processes that may not be
+    inspected.
+
+    `devices` are the paths of the ports, such as /dev/ttyUSB0; they become the keys of the returned
+    dictionary. `root` is the folder that contains /proc.
+    """
+    found: dict[str, list[Holder]] = {device: [] for device in devices}
+    unseen = 0
+    for process in _processes(root / "proc"):
+        try:
+            held = set(_open_files(process)) & found.keys()
+        except PermissionError:
+            unseen += not _is_of_the_kernel(process)
+            continue
+        except OSError:  # The process has ended.
+            continue
+        for device in held:
+            found[device].append(Holder(int(process.name), _command(process)))
+    for holders in found.values():
+        holders.sort(key=lambda holder: holder.pid)
+    return found, unseen
+
+
+def _processes(proc: Path) -> Iterator[Path]:
+    try:
+        names = os.listdir(proc)
+    except OSError:
+        return
+    yield from (proc / name for name in names if name.isdecimal())
+
+
+def _open_files(process: Path) -> Iterator[str]:
+    folder = process / "fd"
+    for name in os.listdir(folder):
+        try:
+            yield os.readlink(folder / name)
+        except FileNotFoundError:  # The process has closed the file.
+            continue
+
+
+def _is_of_the_kernel(process: Path) -> bool:
+    """True if a process is a kernel thread or has ended: neither has a command line."""
+    try:
+        return not (process / "cmdline").read_bytes()
+    except PermissionError:
+        return False
+    except OSError:
+        return True
+
+
+def _command(process: Path) -> str:
+    try:
+        return (process / "comm").read_text(errors="replace").strip()
+    except OSError:
+        return "process"

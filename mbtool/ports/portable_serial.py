@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import serial
 
-from mbtool.core.modem_lines import ModemLine, ModemLines
+from mbtool.core.serial_format import ModemLine, ModemLines
 from mbtool.ports.serial_port import IDLE_S, explained, lost, settings_for
 
 if TYPE_CHECKING:

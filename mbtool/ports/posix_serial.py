@@ -32,10 +32,9 @@ from typing import TYPE_CHECKING
 import serial
 
 from mbtool.core import LinkError
-from mbtool.core.modem_lines import ModemLine, ModemLines
-from mbtool.ports.line_errors import ErrorCounts
+from mbtool.core.serial_format import ModemLine, ModemLines
+from mbtool.ports.line_errors import ErrorCounts, Unmarker
 from mbtool.ports.low_latency import LowLatency
-from mbtool.ports.marks import Unmarker
 from mbtool.ports.real_rate import demand_rate
 from mbtool.ports.serial_port import explained, lost, settings_for
 from mbtool.ports.serial_records import MAX_DATA

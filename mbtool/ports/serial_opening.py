@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.core import SerialFormat, SerialLink
-    from mbtool.core.modem_lines import ModemLines
+    from mbtool.core.serial_format import ModemLines
     from mbtool.ports.posix_serial import PassingPort
     from mbtool.ports.serial_port import ListeningPort
 

@@ -1,4 +1,4 @@
-"""Listens at one TCP endpoint, for the slave and for the tap."""
+"""Listens at one TCP or UDP endpoint, for the slave and for the tap."""
 
 # An endpoint that other machines can reach is opened only with --allow. The table is by IP address;
 # a host name is first resolved to its address.
@@ -17,22 +17,141 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import ipaddress
+import math
 import os
 import socket
 import struct
 import sys
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
+from typing import TYPE_CHECKING, Any, Self
 
-from mbtool.core import Endpoint, LinkError, UsageError
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers, plain_address
-from mbtool.ports.connection_limits import ConnectionRate
+from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
-    from mbtool.core import TapLink, TcpLink
+    from mbtool.core import TapLink
+
+# Limits for a listener: masters connected at once, new connections per second, idle time.
+#
+# A connection that comes faster than the rate allows is reset. The rate is a bucket of tokens: a
+# burst of as many connections as may come in one second is accepted at once, then one for each
+# token that the passing time adds.
+
+DEFAULT_PER_SECOND = 100.0
+SPARE_S = 1.0
+"""If a tap has as many connections as its limit allows, a new one replaces an unused one. Unused is
+a connection on which the slave has never answered, or that one side has ended, and that carried no
+byte for this many seconds. (The TCP guide, V1.0b, 4.3.2, also closes the oldest unused one.)"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectionLimits:
+    """The limits for connections to one endpoint that the user has set; None means the default."""
+
+    connections: int | None = None
+    per_second: float | None = None
+    """The most new connections in a second; None means DEFAULT_PER_SECOND."""
+    idle_s: float | None = None
+
+
+class ConnectionRate:
+    """Limits the rate of new connections with a bucket of tokens."""
+
+    def __init__(self, per_second: float | None) -> None:
+        self.per_second = DEFAULT_PER_SECOND if per_second is None else per_second
+        self._left = self._burst = max(self.per_second, 1.0)
+        self._at_s = -math.inf
+
+    def admits(self, now_s: float) -> bool:
+        """Count a new connection at `now_s` (seconds); return True if the rate allows it."""
+        self._left = min(self._burst, self._left + max(now_s - self._at_s, 0.0) * self.per_second)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+# Decides which machines may connect to a TCP listener: this one, and those given by --allow.
+#
+# AllowedPeers also has the limits that the user has set for the connections of these machines.
+#
+# This machine may always connect, through its loopback address. Other machines may connect if their
+# address is in a network given by --allow. A network of prefix length 0 (0.0.0.0/0 or ::/0) admits
+# every machine, over IPv4 and IPv6.
+#
+# A socket for both IPv4 and IPv6 shows the IPv4 address 10.0.0.1 as ::ffff:10.0.0.1 (RFC 4291,
+# 2.5.5.2). Such an address is compared, and shown, as IPv4.
+
+_NO_LIMITS = ConnectionLimits()
+_MAPPED_BITS = 96
+"""An IPv4-mapped IPv6 address (::ffff:a.b.c.d) has 96 bits before the 32 of the IPv4 address."""
+
+
+@dataclass(frozen=True, slots=True)
+class AllowedPeers:
+    """The machines that may connect: this one, and all whose address is in one of `networks`."""
+
+    networks: tuple[IPv4Network | IPv6Network, ...] = ()
+    limits: ConnectionLimits = _NO_LIMITS
+
+    @classmethod
+    def parse(cls, texts: Iterable[str], limits: ConnectionLimits = _NO_LIMITS) -> Self:
+        """Read the values of --allow, each a network or the address of one machine.
+
+        Raises UsageError for a value that is neither, such as 192.168.1.7/24, which is an address
+        inside a network. `limits` apply to the connections of all machines together.
+        """
+        return cls(tuple(_network(text) for text in texts), limits)
+
+    def __contains__(self, host: object) -> bool:
+        """True if a machine with this IP address may connect; False if `host` is no IP address."""
+        try:
+            address = plain_address(str(host))
+        except ValueError:
+            return False
+        return address.is_loopback or any(
+            network.prefixlen == 0 or address in network for network in self.networks
+        )
+
+
+THIS_MACHINE = AllowedPeers()
+"""Only this machine may connect: the default of every listener."""
+
+
+def plain_address(host: str) -> IPv4Address | IPv6Address:
+    """Read an IP address; turn an IPv4-mapped IPv6 address (::ffff:10.0.0.1) into the IPv4 address.
+
+    Raises ValueError for a text that is no IP address.
+    """
+    address = ipaddress.ip_address(host)
+    return (isinstance(address, IPv6Address) and address.ipv4_mapped) or address
+
+
+def _network(text: str) -> IPv4Network | IPv6Network:
+    try:
+        network = ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        raise UsageError(
+            f"--allow {text!r}: write a network, such as 192.168.1.0/24 or fd00::/8, "
+            "or the address of one machine; 0.0.0.0/0 lets everybody in"
+        ) from None
+    address = text.partition("/")[0]
+    if ipaddress.ip_address(address) != network.network_address:
+        raise UsageError(
+            f"--allow {text!r}: is an address inside {network}; write {network} for the whole "
+            f"network, or {address} for one machine"
+        )
+    if isinstance(network, IPv6Network) and network.prefixlen >= _MAPPED_BITS:
+        mapped = network.network_address.ipv4_mapped
+        return IPv4Network((mapped, network.prefixlen - _MAPPED_BITS)) if mapped else network
+    return network
+
 
 BACKLOG = 64
 """The most connections that may wait in the system's queue until they are accepted."""
@@ -54,6 +173,8 @@ class TcpListener:
         self._link = link
         self._endpoint = endpoint
         self._allowed = allowed
+        self._is_udp = isinstance(link, TcpLink) and link.is_udp
+        self._kind = socket.SOCK_DGRAM if self._is_udp else socket.SOCK_STREAM
         self._rate = ConnectionRate(allowed.limits.per_second)
         self._told_s = -TELL_EVERY_S
         """The time of the last call of `on_exhausted` by `serve`, in seconds on the event loop's
@@ -74,7 +195,8 @@ class TcpListener:
             )
         self.sock = self._bind()
         try:
-            self.sock.listen(BACKLOG)
+            if not self._is_udp:
+                self.sock.listen(BACKLOG)
         except OSError as error:
             self.sock.close()
             raise self._not_listening(error) from error
@@ -95,11 +217,16 @@ class TcpListener:
         Call this once for each connection: each call counts as one connection for the limit on the
         rate.
         """
-        if host not in self._allowed:
-            return f"{_shown(host)} is in no network of --allow"
+        stranger = self.stranger(host)
+        if stranger is not None:
+            return stranger
         if not self._rate.admits(time.monotonic()):
             return f"more than {self._rate.per_second:g} connections a second; see --max-rate"
         return None
+
+    def stranger(self, host: str) -> str | None:
+        """Return a text that says that no peer with this address may connect; None if it may."""
+        return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 
     async def serve(
         self,
@@ -148,7 +275,7 @@ class TcpListener:
             found = socket.getaddrinfo(
                 self._endpoint.host,
                 self._endpoint.port,
-                type=socket.SOCK_STREAM,
+                type=self._kind,
                 flags=socket.AI_PASSIVE,
             )
         except (socket.gaierror, UnicodeError) as error:
@@ -157,9 +284,10 @@ class TcpListener:
 
     def _bind(self) -> socket.socket:
         try:
-            bound = socket.socket(self._family, socket.SOCK_STREAM)
+            bound = socket.socket(self._family, self._kind)
             try:
-                if os.name == "posix":  # On Windows two programs could then share a port.
+                # On Windows two programs could then share a port, and everywhere with UDP.
+                if os.name == "posix" and not self._is_udp:
                     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 if self._family == socket.AF_INET6:
                     bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from operator import attrgetter
@@ -17,6 +17,7 @@ from typing import Any
 
 from msgspec import inspect
 
+from mbtool.core.wording import host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.devices.transaction_fields import transaction_fields
 from mbtool.modbus import FUNCTIONS
@@ -160,15 +161,6 @@ def _either(choices: tuple[str, ...]) -> str:
     return f"{', '.join(choices[:-1])} or {choices[-1]}"
 
 
-def host_of(endpoint: str | None) -> str | None:
-    """Return the host in an endpoint such as `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
-    if endpoint is None:
-        return None
-    if endpoint.startswith("["):
-        return endpoint[1:].partition("]")[0]
-    return endpoint.rpartition(":")[0] or endpoint
-
-
 def is_at(endpoint: str, text: str) -> bool:
     """True if `text` equals an endpoint (HOST:PORT), or its host without the port."""
     return endpoint == text or host_of(endpoint) == text.strip("[]")
@@ -240,6 +232,42 @@ def _written(one: NamedTransaction, *, bits: bool) -> list[int] | None:
     return list(range(first, first + (1 if quantity is None else quantity)))
 
 
+class _Values(list[float]):
+    """The values of a transaction's registers or bits. The numbers of its points are in it, too."""
+
+    def __init__(self, one: NamedTransaction) -> None:
+        super().__init__((one.request_values or []) + (one.response_values or []))
+        self._one = one
+
+    def __contains__(self, number: object) -> bool:
+        return super().__contains__(number) or any(one == number for one in _numbers(self._one))
+
+
+def _numbers(one: NamedTransaction) -> Iterator[float]:
+    """The numbers of points, as a register holds them and as a person would write them."""
+    for point in one.points:
+        if point.value is not None:
+            yield point.value
+            if not float(point.value).is_integer():
+                yield float(f"{point.value:.{_SHOWN_DIGITS}g}")
+
+
+def point_term(name: str, *, is_text: bool) -> Term:
+    """Return the term of a point: `point["Speed"]`, or `text["State"]` for its value in words."""
+    wanted = name.casefold()
+
+    def value(one: NamedTransaction) -> object:
+        for point in one.points:
+            if point.name.casefold() == wanted:
+                return point.text if is_text else point.value
+        return None
+
+    kind = ValueKind.TEXT if is_text else ValueKind.NUMBER
+    return Term(text=f'{"text" if is_text else "point"}["{name}"]', value=value, kind=kind)
+
+
+_SHOWN_DIGITS = 6
+"""A number of a point equals one with so many digits if it rounds to it: 23.4 is 23.399999618."""
 _WORD = range(0x10000)
 _ADDRESS = ValueKind.NUMBER
 
@@ -248,8 +276,8 @@ _TERMS = (
     _field("transport"),
     _endpoint("source", lambda one: one.source),
     _endpoint("destination", lambda one: one.destination),
-    _host("master", lambda one: host_of(one.source)),
-    _host("slave", lambda one: host_of(one.destination)),
+    _host("master", lambda one: one.master),
+    _host("slave", lambda one: one.slave),
     _field("file"),
     Term(text="time", value=lambda one: one.start_ns, kind=ValueKind.MOMENT),
     _field("unit"),
@@ -259,15 +287,14 @@ _TERMS = (
     _field("quantity"),
     _list(
         "values",
-        lambda one: (one.request_values or []) + (one.response_values or []),
+        lambda one: _Values(one),
         ValueKind.NUMBER,
-        allowed=_WORD,
     ),
     _list("written_registers", lambda one: _written(one, bits=False), _ADDRESS, allowed=_WORD),
     _list("written_bits", lambda one: _written(one, bits=True), _ADDRESS, allowed=_WORD),
     _field("outcome"),
     _field("exception"),
-    _number("latency_ms", lambda one: None if one.latency_ns is None else one.latency_ns / 1e6),
+    _number("latency_ms", lambda one: one.latency_ms),
     _field("retries"),
     _field("device"),
     _field("reference"),

@@ -6,6 +6,7 @@
 #     outcome == "exception" or latency_ms > 50
 #     40 <= address < 50 and 17 in values
 #     reference like "HR4*" or points matches "CH[1-4] "
+#     point["Flow temperature"] > 60 or text["State"] == "off" or 23.4 in values
 #     source == "10.0.0.66" and time >= "2026-11-22T09:14"
 #
 # There are two operators that Python lacks. `like` compares a whole text with wildcards: * for any
@@ -39,6 +40,7 @@ from mbtool.query.terms import (
     Term,
     ValueKind,
     is_at,
+    point_term,
     why_never_true,
     why_out_of_range,
 )
@@ -261,6 +263,11 @@ class _Compiler:
                         f"there is no {_short(name)!r}{meant} there are {', '.join(NAMES)}"
                     )
                 return NAMES[name]
+            case ast.Subscript(
+                value=ast.Name(id="point" | "text" as word),
+                slice=ast.Constant(value=str() as name),
+            ):
+                return point_term(name, is_text=word == "text")
             case ast.Constant(value=str() as text):
                 return Term(
                     text=_short(repr(text)),

@@ -12,7 +12,7 @@ from mbtool.replay.judging import RequestReport, ResponseJudge, Tolerance
 from mbtool.replay.latency import FixedLatency, LatencyModel, RecordedLatency, SampledLatency
 from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import AnsweredFrom, Device, OnMiss, RecordedSlave
-from mbtool.replay.recording import RecordedAnswer, Recording
+from mbtool.replay.recording import RecordedAnswer, Recording, RequestKind
 from mbtool.replay.script import Script, Step
 from mbtool.replay.steering import Control, PlayerControls, Progress, Steering
 from mbtool.replay.time_range import TimeRange
@@ -39,6 +39,7 @@ __all__ = [
     "RecordedLatency",
     "RecordedSlave",
     "Recording",
+    "RequestKind",
     "RequestReport",
     "ResponseJudge",
     "SampledLatency",

@@ -36,7 +36,7 @@ DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 _WHOLE_ADU = 1024
 """More bytes than any ADU has. Cutting this many off a made response leaves nothing of it, so that
 only the recorded bytes are sent."""
-_RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
+_RTU = frozenset((Transport.RTU, Transport.RTU_TCP, Transport.RTU_UDP))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class DamagedAnswer:
         if transport is self.transport or {transport, self.transport} <= _RTU:
             return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
         pdu = whole_pdu(self.transport, self.raw) if self.has_wrong_check else None
-        if transport is Transport.TCP or pdu is None:
+        if transport.has_mbap or pdu is None:
             return None
         return Response(pdu, delay_ns, Distortion(wrong_check=True))
 
@@ -87,7 +87,7 @@ def damaged_answers(
         request_ns = one.start_ns
         until_ns = min(next_ns.get(one.link, request_ns + RESPONSE_NS), request_ns + RESPONSE_NS)
         next_ns[one.link] = request_ns
-        if one.outcome is not Outcome.NO_ANSWER or one.transport is Transport.TCP:
+        if one.outcome is not Outcome.NO_ANSWER or one.transport.has_mbap:
             continue
         of_link = undecoded.get(one.link, ())
         for event in of_link[bisect_left(of_link, request_ns, key=_time) :]:

@@ -22,7 +22,8 @@
 # both cores of a machine kept busy (load 12), in 24 samples of 30 responses: the fastest response
 # of a sample was at most 1.3 ms late, the fourth fastest up to 7.1 ms, the median 4 to 15 ms.
 #
-# The user can name registers that may differ (`spans`). With `learns`, no register counts as a
+# The user can say by how much values may differ (tolerances.py), and name registers that may differ
+# in any way (`spans`). With `learns`, no register counts as a
 # difference; `learned` returns those that differed.
 #
 # Memory grows with the number of different requests, not with their repetitions (limits as in
@@ -41,6 +42,7 @@ from mbtool.core import Direction
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import exception_name, parse_pdu, register_access
+from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.replay.script import Step
 from mbtool.replay.significance import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices import Profile
     from mbtool.modbus import RegisterAccess
+    from mbtool.replay.tolerances import Tolerances
 
 SHOWN_BYTES = 16
 MAX_OUTCOMES = 16
@@ -59,7 +62,6 @@ MAX_CONNECTIONS = 1024
 
 _OK = "ok"
 _OTHER_OUTCOMES = ("others", "others")
-_EXCEPTION_BIT = 0x80
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +165,13 @@ class ResponseJudge:
         spans: Sequence[Span] = (),
         learns: bool = False,
         tolerance: Tolerance | None = None,
+        values: Tolerances | None = None,
     ) -> None:
         """Prepare to compare.
 
         `profiles` are the device profiles by name; they give names and units of measure. Registers
-        in `spans` may differ from the recording. Without `tolerance`, latencies are not compared.
+        in `spans` may differ from the recording, and those in `values` by the amounts that it says.
+        Without `tolerance`, latencies are not compared.
         With `learns`, registers that differ are collected for `learned` and do not count as
         differences.
         """
@@ -175,6 +179,7 @@ class ResponseJudge:
         self._spans = list(spans)
         self._learns = learns
         self._tolerance = tolerance
+        self._values = values
         self._wordings: dict[str | None, DeviceWording] = {}
         self._results: dict[tuple[int, int, object], _RequestResult] = {}
         """The results of each request. The key is the unit, the function, and the registers that
@@ -208,7 +213,10 @@ class ResponseJudge:
         result.time_ns += latency_ns or 0
         if step.latency_ns is not None and latency_ns is not None:
             result.add_latencies(step.latency_ns, latency_ns)
-        if step.is_broadcast or not step.is_captured or response == step.expected:
+        if step.is_broadcast or not step.is_captured:
+            return True
+        has_counters = self._values is not None and self._values.has_counters
+        if response == step.expected and not (has_counters and response is not None):
             return True
         recorded, outcome = (_outcome(pdu, step.pdu[0]) for pdu in (step.expected, response))
         is_right = False
@@ -319,9 +327,16 @@ class ResponseJudge:
             parse_pdu(pdu, Direction.RESPONSE).numbers() or () for pdu in (expected, response)
         )
         step, is_right = request.step, True
+        right: set[int] = set()
+        wrong: set[int] = set()
+        if self._values is not None:
+            right, wrong = self._values.judged(
+                step.unit, step.device, access.table, access.reads, recorded, answered
+            )
         for address, before, after in zip(access.reads, recorded, answered, strict=False):
             key = ValueKey(access.table, address, is_written=False)
-            if before == after or key.is_in(self._spans):
+            is_same = (before == after and address not in wrong) or address in right
+            if is_same or key.is_in(self._spans):
                 continue
             result = self._registers.setdefault((step.unit, step.device, key), _RegisterResult())
             result.recorded.add(before)
@@ -435,9 +450,9 @@ def _with_count(text: str, count: int, total: int) -> str:
 def _outcome(pdu: bytes | None, function: int) -> str:
     if pdu is None:
         return NO_ANSWER
-    if pdu[0] | _EXCEPTION_BIT != function | _EXCEPTION_BIT:
-        return f"answer to function {pdu[0] & ~_EXCEPTION_BIT:02X}"
-    if pdu[0] & _EXCEPTION_BIT:
+    if pdu[0] | EXCEPTION_BIT != function | EXCEPTION_BIT:
+        return f"answer to function {pdu[0] & ~EXCEPTION_BIT:02X}"
+    if pdu[0] & EXCEPTION_BIT:
         if len(pdu) != 2:
             return f"malformed exception {_shown(pdu)}"
         return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"

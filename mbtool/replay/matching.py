@@ -26,13 +26,12 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from mbtool.core import Direction
 from mbtool.modbus import TABLE_FUNCTIONS, parse_pdu
+from mbtool.modbus.functions import EXCEPTION_BIT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.replay.recording import Key, RecordedAnswer, Recording
-
-_EXCEPTION_BIT = 0x80
 
 
 class MatchStrategy(StrEnum):
@@ -201,7 +200,7 @@ class TimeMatcher:
         if similar is None:
             return NoAnswer.MISS
         answer = _nearest(similar, moment.at_ns)
-        is_good = answer.pdu is not None and not answer.pdu[0] & _EXCEPTION_BIT
+        is_good = answer.pdu is not None and not answer.pdu[0] & EXCEPTION_BIT
         return NoAnswer.IMAGE if is_good else Found(answer)
 
 

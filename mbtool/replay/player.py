@@ -47,6 +47,7 @@ from mbtool.replay.clock import PlayClock
 from mbtool.replay.latency import LatencyModel, RecordedLatency
 from mbtool.replay.live_writes import LiveWrites, Place
 from mbtool.replay.matching import Found, MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
+from mbtool.replay.recording import RequestKind
 from mbtool.replay.steering import Control, Progress, Steering
 
 if TYPE_CHECKING:
@@ -56,6 +57,8 @@ if TYPE_CHECKING:
     from mbtool.replay.recording import RecordedAnswer, Recording
 
 BROADCAST_UNIT = 0
+MAX_UNRECORDED = 1000
+"""At most so many different requests that were never recorded are counted."""
 _LOOP_GAP_NS = 1_000_000_000
 """If a recording of length 0 ns (such as a single request) is played in a loop, each lap takes this
 long (ns of recorded time)."""
@@ -80,7 +83,7 @@ class AnsweredFrom(StrEnum):
     """The recorded values of the registers that the request reads or writes."""
     PROFILE = "profile"
     """The simulated device that was made from the device's profile."""
-    NOWHERE = "never recorded"
+    NOWHERE = "unknown"
     """An exception response or no response, because the recording tells nothing about the
     request."""
 
@@ -152,6 +155,9 @@ class RecordedSlave:
         self._writes = LiveWrites(recording)
         self.answered_from: Counter[AnsweredFrom] = Counter()
         """The number of requests from the live master, by what their answers were taken from."""
+        self.unrecorded: Counter[RequestKind] = Counter()
+        """How often the live master has sent requests that are not in the recording; of more than
+        MAX_UNRECORDED different ones, only the first."""
         self.missed = 0
         """The number of requests that are not in the recording, to units that answer in it."""
 
@@ -168,6 +174,8 @@ class RecordedSlave:
         self._steering.begin(now_ns)
         if self._any_unit is not None and unit not in self._asked_units:
             unit = self._any_unit
+        if pdu and not self._recording.has(unit, pdu):
+            self._note_unrecorded(RequestKind.of(unit, pdu))
         found = self._matcher.find((unit, pdu), self._moment(now_ns))
         if isinstance(found, Found) or found is NoAnswer.SILENCE:
             self.answered_from[AnsweredFrom.RECORDED] += 1
@@ -190,6 +198,10 @@ class RecordedSlave:
         if found is NoAnswer.MISS:
             self.missed += 1
         return self._make_up(unit, pdu, found, now_ns)
+
+    def _note_unrecorded(self, kind: RequestKind) -> None:
+        if kind in self.unrecorded or len(self.unrecorded) < MAX_UNRECORDED:
+            self.unrecorded[kind] += 1
 
     def control(self, control: Control, now_ns: int) -> None:
         """Carry out the command of a key that the user has pressed: pause, step, faster or
@@ -240,7 +252,7 @@ class RecordedSlave:
             self._clock.jump(self._clock.lap_begin(lap) + next_ns - begin_ns, now_ns)
 
     def _is_broadcast(self, unit: int) -> bool:
-        is_line = self._transport is not Transport.TCP
+        is_line = not self._transport.has_mbap
         return unit == BROADCAST_UNIT and is_line and unit not in self._recording.units
 
     def _play(self, unit: int, pdu: bytes, found: Found) -> Response | None:

@@ -22,8 +22,9 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import median_low
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from mbtool.core import Direction
 from mbtool.modbus import Outcome, Table, parse_pdu, register_access, values_after, whole_pdu
@@ -55,6 +56,24 @@ class RecordedAnswer:
     """The time (UTC ns) of the request's last byte."""
     damaged: DamagedAnswer | None = None
     """The damaged response, if one was captured in place of an intact one; else None."""
+
+
+class RequestKind(NamedTuple):
+    """What a request asks for, without the values that it writes."""
+
+    unit: int
+    code: int
+    address: int | None
+    quantity: int | None
+    pdu: bytes
+    """The whole PDU if the request addresses no registers or bits; otherwise empty."""
+
+    @classmethod
+    def of(cls, unit: int, pdu: bytes) -> RequestKind:
+        request = parse_pdu(pdu, Direction.REQUEST)
+        if register_access(request) is None:
+            return cls(unit, request.code, None, None, pdu)
+        return cls(unit, request.code, request.number("address"), request.number("quantity"), b"")
 
 
 _ALL = TimeRange()
@@ -115,6 +134,14 @@ class Recording:
         end_ns = last_ns if part.end_ns is None else first_ns + part.end_ns
         recording.length_ns = max(end_ns - recording.begin_ns, 0)
         return recording
+
+    def has(self, unit: int, pdu: bytes) -> bool:
+        """True if the recording has such a request; if it writes, with these or other values."""
+        return (unit, pdu) in self.answers or RequestKind.of(unit, pdu) in self._kinds
+
+    @cached_property
+    def _kinds(self) -> frozenset[RequestKind]:
+        return frozenset(RequestKind.of(*key) for key in self.answers)
 
     def timeline(self, unit: int, table: Table) -> Timeline:
         """The recorded values of one table of a unit over time; without any values if the unit has

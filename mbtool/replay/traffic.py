@@ -31,6 +31,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus import FUNCTIONS, Outcome, Table
+from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.replay.connections import ConnectionHistory, RecordedConnection
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ MAX_SLAVES = 1 << 16
 """A slave that is asked for two registers takes 2 KB: the most slaves together 125 MB."""
 
 NO_ANSWER = "no answer"
-
-_MASK_WRITE = 0x16
 
 
 class SlaveKey(NamedTuple):
@@ -197,7 +196,7 @@ class SlaveTraffic:
             return True
         has_all = True
         table, address = known.table, transaction.address
-        if known.writes and transaction.function != _MASK_WRITE:
+        if known.writes and transaction.function != MASK_WRITE_REGISTER:
             where = address if transaction.write_address is None else transaction.write_address
             has_all = self._observe(table, where, transaction.request_values, is_written=True)
         if transaction.outcome in (Outcome.OK, Outcome.LATE) and (

@@ -23,12 +23,17 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.skips import SkipRun
-from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.ascii_frame import (
+from mbtool.modbus.adu import (
     CR,
     LF,
+    MAX_ASCII_ADU,
     SEVEN_BITS,
+    Adu,
     AsciiFrame,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
     read_frame,
     why_unreadable,
 )
@@ -41,6 +46,8 @@ CHARACTER_TIMEOUT_NS = 1_000_000_000
 """The longest silence inside a frame, in ns (Serial Line V1.02, 2.5.2.1)."""
 
 _COLON = 0x3A
+_EMPTY = 3
+"""The most characters of a frame that has no content: a colon, CR and LF."""
 _STOP = re.compile(rb"[:\r\n]")
 _CHANGE_DELIMITER = b"\x08\x00\x03"
 
@@ -182,7 +189,7 @@ class AsciiSplitter:
             if end - 1 > offset:
                 self._add(data, offset, end - 1)
             self._end(events, "a frame that another colon cuts off")
-            self._resynchronised = isinstance(events[-1], Skipped)
+            self._resynchronised = bool(self._noise) or isinstance(events[-1], Skipped)
             self._begin(data, end - 1)
             return end
         self._add(data, offset, end)
@@ -221,6 +228,9 @@ class AsciiSplitter:
             return
         raw = bytes(self._frame)
         self._frame.clear()
+        if len(raw) <= _EMPTY and not raw.translate(SEVEN_BITS).strip(b":\r\n"):
+            self._noise.add(raw, self._first_ns, events)
+            return
         may_be_whole = cut is None or self._cr >= 0
         frame = read_frame(raw, eight_bits=self._eight_bits) if may_be_whole else None
         if frame is not None and frame.checksum.ok:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import crc, crc_on
+from mbtool.modbus.adu import MAX_RTU_ADU, crc, crc_on
 
 
 def repaired(frame: bytes) -> bytes | None:

@@ -22,8 +22,7 @@ import msgspec
 from msgspec.structs import replace
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES
+from mbtool.modbus.adu import RTU_EXTRA_BYTES, DirectionBy
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import ECHOING, WRITE_SEVERAL
 from mbtool.modbus.pdu import pdu_length

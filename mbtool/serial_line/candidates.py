@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.framing.rtu_lengths import MIN_FRAME, crc_ends, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc
+from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size
+from mbtool.modbus.adu import MAX_RTU_ADU, RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.serial_line import costs
@@ -134,7 +133,7 @@ class Candidates:
         bus state."""
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
-        self._silences = [0, 0, *accumulate(map(int, window.silences[1:]))]
+        self._silences = [0, 0, *accumulate(window.silences[1:])]
         """For each offset, the number of bytes before it that directly follow a silence of t3.5."""
 
     def split_cost(self, offset: int, size: int) -> float:
@@ -190,10 +189,10 @@ class Candidates:
 
     def _find_frames(self, offset: int) -> list[FrameCandidate]:
         frames: list[FrameCandidate] = []
+        if not begins_frame(self._data, offset, self._roles):
+            return frames
         head = self._data[offset : offset + MAX_RTU_ADU]
         have = len(head)
-        if have < MIN_FRAME:
-            return frames
         sizes = [(role, frame_size(head, role)) for role in self._roles]
         for role, size in sizes:
             if size and size <= have and crc(head[:size]) == 0:

@@ -25,7 +25,10 @@ RESPONSE = 0.0
 """The cost, in bits, of a response that fits the pending request."""
 PREVIOUS_UNANSWERED = 5.0
 """Extra cost, in bits, of a request that differs from the one still pending: on a bad line, one
-request in thirty gets no response."""
+request in thirty gets no response. A start value, which the line's history replaces."""
+PREVIOUS_UNANSWERED_LIMITS = (2.0, 5.0)
+"""The least and the most, in bits, that the learned cost of a request behind an unanswered one can
+become. It is low while somebody looks which units exist."""
 RETRY = 4.0
 """Extra cost, in bits, of a request that equals the one still pending, as a retry does. A start
 value, which the line statistics replace."""
@@ -193,6 +196,9 @@ NOISE_LIMITS = (2.0, 9.0)
 MIN_NOISE_IN_WINDOW = 4.0
 """The least cost, in bits, of noise after a frame. Each group of skipped bytes makes the next group
 in the same search 1 bit cheaper, but not cheaper than this."""
+OFTEN_SKIPPED = 4.0
+"""If the learned cost, in bits, of skipped bytes or of noise is at most this, they are frequent on
+this line: before one frame in 16."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0

@@ -5,16 +5,21 @@
 # less likely), and if the bus state expects it. A silence or one more byte has to follow it. If the
 # expected frame is longer than the undecided bytes and can begin with them, they are certainly an
 # incomplete frame, and the search waits for the rest.
+#
+# Requests and responses of 05, 06, 08, 15H and 16H are equal. Without times, a frame that equals
+# the pending request is certainly the response if the frame behind it cannot be one. Equal frames
+# in a row, as of a master that writes one value in a loop, are pairs if they are many, or if the
+# frame behind the last one shows that their number is even.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy
-from mbtool.modbus.adu_bytes import crc
-from mbtool.modbus.functions import EXCEPTION_BIT, READ_BITS
+from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy, crc
+from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, READ_BITS
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (
     FITTING_RESPONSE,
@@ -24,9 +29,8 @@ from mbtool.serial_line.bus_model import (
     BusModel,
     Classification,
 )
-from mbtool.serial_line.bus_state import MAX_PENDING_NS
-from mbtool.serial_line.frame_costs import MAX_UNIT
-from mbtool.serial_line.plausibility import is_padded
+from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, confidence_of
+from mbtool.serial_line.plausibility import is_odd_request, is_padded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,9 +48,12 @@ _ONLY = {role: [role] for role in ROLES}
 _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
+_LONG_RUN = 24
+"""From so many equal frames in a row on, the number of those that follow does not matter. It is at
+most as many frames as the window keeps undecided."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more is left to the
-search, unless by its form it can only be a request, and this request was heard before."""
+search, unless by its form it can only be a request."""
 
 
 class FastPath:
@@ -68,13 +75,16 @@ class FastPath:
         self._sizes: list[tuple[Direction, int]] = []
         """Each possible direction of the next frame with the frame's size in bytes in that
         direction; empty until its bytes tell the sizes."""
+        self._run = b""
+        self._run_size = 0
+        """The number of undecided bytes that are known to be frames equal to `_run`."""
 
-    def restart(self, *, behind_noise: bool) -> None:
-        """Forget the possible sizes of the next frame, as this frame begins at another byte than
-        before.
+    def restart(self, removed: int, *, behind_noise: bool) -> None:
+        """Forget the possible sizes of the next frame, as the first `removed` bytes are decided.
 
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
+        self._run_size -= removed
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []
@@ -104,8 +114,17 @@ class FastPath:
                     return size, REQUEST_BY_FORM
             elif self._is_ordinary_response(unit, pdu, start_ns):
                 return size, FITTING_RESPONSE
+        elif pdu[0] in ECHOING and (len(model.states) == 1 or self._is_long_loop(data, size)):
+            ordinary = self._ordinary_echo(model.state, unit, pdu, data)
+            if ordinary is not None:
+                return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)
-        if model.cost(model.state, unit, pdu, classified.direction, start_ns) > _MAX_COST:
+        cost = model.cost(model.state, unit, pdu, classified.direction, start_ns)
+        if cost > _MAX_COST and not (
+            classified is REQUEST_BY_FORM
+            and cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
+            and self._begins_request(unit, pdu)
+        ):
             return None
         if len(roles) > 1 and not self._is_direction_certain(classified, head, size):
             return None
@@ -182,14 +201,17 @@ class FastPath:
         return sizes
 
     def _is_known_request(self, unit: int, pdu: bytes) -> bool:
-        """True if this request was heard before, and its bytes cannot begin the expected response.
+        """True if this request was heard before, and begins where a request can begin."""
+        return (unit, pdu) in self._model.history.requests and self._begins_request(unit, pdu)
+
+    def _begins_request(self, unit: int, pdu: bytes) -> bool:
+        """True if the next bytes cannot begin the expected response.
 
         It is False directly behind bytes that belong to no frame.
         """
-        model = self._model
-        if self._is_behind_noise or (unit, pdu) not in model.history.requests:
+        if self._is_behind_noise:
             return False
-        for _, state in model.states:
+        for _, state in self._model.states:
             if state.pending is not None and state.pending.is_named_by(unit, pdu[0]):
                 return False
         return True
@@ -202,7 +224,7 @@ class FastPath:
         """
         model = self._model
         pending, history = model.state.pending, model.history
-        if pending is None or unit > MAX_UNIT or pdu == pending.pdu or not pending.fits(unit, pdu):
+        if pending is None or unit > LAST_UNIT or pdu == pending.pdu or not pending.fits(unit, pdu):
             return False
         if pdu[0] in READ_BITS and not is_padded(pending.pdu, pdu):
             return False
@@ -210,6 +232,82 @@ class FastPath:
         if history.trusts_silences and not history.latency.has_heard(waited_ns):
             return False
         return waited_ns <= MAX_PENDING_NS
+
+    def _ordinary_echo(
+        self, state: BusState, unit: int, pdu: bytes, data: bytes
+    ) -> Classification | None:
+        """Return the direction of a frame that equals its response, if the line is an ordinary one.
+
+        It is a request if no other is pending, and the response if it equals the pending request
+        and the frames behind it show that no response is missing. None does not mean that the
+        direction is uncertain: then the costs of both directions are computed. `data` are the frame
+        and the bytes behind it.
+        """
+        history, pending = self._model.history, state.pending
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or state.overdue is not None:
+            return None
+        if is_odd_request(pdu):
+            return None
+        if pending is not None:
+            is_echo = not history.timed and pending.is_same(unit, pdu)
+            silent = history.silent_bits(state, pending) if is_echo else 0.0
+            if not is_echo or silent or history.retry.bits < costs.RETRY:
+                return None
+            return FITTING_RESPONSE if self._follows_response(data, len(pdu) + 3) else None
+        if state.follows_damage or state.last_ns is None:
+            return None
+        bits = costs.UNREQUESTED_RESPONSE - costs.REQUEST
+        answered = state.answered
+        if answered is not None and answered.is_same(unit, pdu):
+            if history.trusts_silences:
+                return None
+            bits -= min(history.repeat.bits, costs.REPEAT_AGAIN if state.is_repeat else bits)
+        elif state.last_response == pdu:
+            return None
+        elif (unit, pdu) not in history.requests:
+            bits -= costs.NEW_REQUEST
+        return Classification(Direction.REQUEST, DirectionBy.IDLE, confidence_of(bits))
+
+    def _follows_response(self, data: bytes, size: int) -> bool:
+        """True if the frames behind the first one, which has `size` bytes and equals the pending
+        request, show that it is the response and no retry.
+
+        That is so if they cannot be the response to a retry. If they are equal, too, as those of a
+        master that writes one value in a loop, they must be many, or come in pairs.
+        """
+        if self._model.silence_cost(self._model.state):
+            return False
+        after = data[size : 2 * size]
+        if len(after) < 2 or after[:2] != data[:2]:
+            return len(after) >= 2
+        if len(after) < size:
+            return False
+        raw = data[:size]
+        if after != raw:
+            return crc(after) == 0 and data.startswith(after, 2 * size)
+        if self._is_long_loop(data, size):
+            return True
+        count = self._count_run(data, raw)
+        is_over = not raw.startswith(data[count * size : (count + 1) * size])
+        is_loop = self._model.history.repeat.bits <= costs.REPEAT_AGAIN
+        return is_loop and is_over and count % 2 == 1
+
+    def _is_long_loop(self, data: bytes, size: int) -> bool:
+        """True if the next frame, of `size` bytes, is one of many equal ones, and the master is
+        known to write one value in a loop.
+        """
+        history = self._model.history
+        is_loop = not history.timed and history.repeat.bits <= costs.REPEAT_AGAIN
+        return is_loop and self._count_run(data, data[:size]) >= _LONG_RUN
+
+    def _count_run(self, data: bytes, raw: bytes) -> int:
+        """Return how many frames equal to `raw` the bytes begin with."""
+        end = self._run_size if self._run == raw and self._run_size > 0 else 0
+        end -= end % len(raw)
+        while data.startswith(raw, end):
+            end += len(raw)
+        self._run, self._run_size = raw, end
+        return end // len(raw)
 
     def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
         """True if the direction of a frame is certain although its form allows both directions.

@@ -16,6 +16,7 @@ from math import log2
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.modbus.functions import (
     ECHOING,
     EXCEPTION_BIT,
@@ -35,7 +36,6 @@ from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_
 if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
-MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
 
 USUAL_TIMEOUT_NS = 200_000_000
@@ -65,7 +65,7 @@ def frame_cost(
             cost += costs.REQUEST_ON_THE_SLAVES_SIDE
     else:
         cost, by_time = _response_cost(history, state, unit, pdu, at_ns)
-    if unit > MAX_UNIT:
+    if unit > LAST_UNIT:
         cost += costs.RESERVED_UNIT
     return cost, by_time if history.trusts_silences else 0.0
 
@@ -91,7 +91,7 @@ def _request_cost(
         return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     silent = history.silent_bits(state, pending)
     if not is_retry:
-        cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
+        cost += max(history.no_answer.bits - silent, costs.MIN_UNANSWERED)
         if pdu[0] in ECHOING and pending.has_address_of(unit, pdu):
             cost += history.rewrite.bits
     elif overdue is not None and overdue.is_same(unit, pdu):
@@ -108,7 +108,7 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
     It is 0 unless the pause between the response and the request, which begins at `at_ns`, is
     unusually short.
     """
-    if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
+    if not history.trusts_silences or history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
     return costs.SHORT_PAUSE if is_short else 0.0
@@ -122,6 +122,8 @@ def _early_cost(
     `pending` is the request for whose response it waits. `is_retry` is True if the new request,
     which begins at `at_ns`, equals `pending`. 0 if the master has waited long enough.
     """
+    if not history.trusts_silences:
+        return 0.0
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
     if waited_ns <= 0 and not history.hears_silences:
         return 0.0  # All frames so far were merged, so nothing tells how long the master waited.
@@ -267,6 +269,8 @@ def _lateness_cost(
     It is 0 unless the response is late. `is_echo` is True if the response equals the request, so
     that it may be a retry instead.
     """
+    if not history.trusts_silences:
+        return 0.0
     latency = history.latency
     if not is_echo:
         doublings = latency.doublings_late(silence_ns)

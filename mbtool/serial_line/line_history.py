@@ -65,6 +65,7 @@ class LineHistory:
         no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
         self.retry = LearnedCost(costs.RETRY, costs.RETRY_LIMITS)
+        self.no_answer = LearnedCost(costs.PREVIOUS_UNANSWERED, costs.PREVIOUS_UNANSWERED_LIMITS)
         self.rewrite = LearnedCost(costs.REWRITE, costs.REWRITE_LIMITS)
         self.wrong_echoes: dict[tuple[int, int], int] = {}
         """By unit and function, the number of responses that were probably wrong echoes, up to
@@ -149,6 +150,9 @@ class LineHistory:
         requests[request] = None
         if len(requests) > MAX_REQUESTS:
             del requests[next(iter(requests))]
+        is_unanswered = state.pending is not None and not state.pending.is_same(unit, pdu)
+        if is_unanswered or not self.no_answer.is_at_rest:
+            self.no_answer.learn(is_unanswered)
         if pdu[0] in ECHOING and (before := state.answered or state.pending) is not None:
             self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:

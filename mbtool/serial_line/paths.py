@@ -71,6 +71,11 @@ class Path(msgspec.Struct, eq=False):
     """Paths to the same offset and bus state that cost more and were dropped in favour of this one.
     Rivals that cost less than DOUBT_BITS more lower the confidence of its segments."""
 
+    @property
+    def end(self) -> int:
+        """The offset in the window at which the path ends."""
+        return self.segment.offset + self.segment.size if self.segment is not None else 0
+
 
 def with_confidence(ends: list[Path]) -> Iterator[Segment]:
     """Yield the segments of the first and cheapest path of `ends`, in order.
@@ -103,6 +108,15 @@ def _chain(end: Path) -> Iterator[Path]:
     while path is not None:
         yield path
         path = path.previous
+
+
+def common_end(ends: list[Path]) -> int:
+    """Return the offset behind the last frame up to which all paths are the same; 0 if none is."""
+    common = list(_chain(ends[0])) if ends else []
+    for path in ends[1:]:
+        known = {id(one) for one in _chain(path)}
+        common = [one for one in common if id(one) in known]
+    return next((one.end for one in common if one.ends_frame), 0)
 
 
 def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segment]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbtool.modbus.functions import EXCEPTION_BIT, READ_REGISTERS
-from mbtool.modbus.packing import bit_bytes
+from mbtool.modbus.layouts import bit_bytes
 
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""

@@ -10,7 +10,10 @@
 #    incomplete frame stay too if only its end can make their meaning certain, but for at most
 #    MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
-#    bytes are returned.
+#    bytes are returned, and of these the frames that every explanation contains.
+#
+# A search stops at a frame behind which only one explanation is left, and the fast path goes on
+# there. So its work grows with the number of unclear places, not with the number of bytes.
 #
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the
@@ -20,7 +23,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
@@ -29,21 +32,32 @@ from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import (
     MIN_FRAME,
     doubled_size,
+    frame_size,
     has_frame,
     is_frame_between,
     why_skipped,
 )
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    Adu,
+    Checksum,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    crc,
+)
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
-from mbtool.serial_line.adapter_echo import AdapterEcho
+from mbtool.serial_line import costs
 from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
+from mbtool.serial_line.frame_copies import FrameCopies
 from mbtool.serial_line.line_statistics import LatencyStatistics, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
-from mbtool.serial_line.silences import last_silence, longest_silence_ns, silences
+from mbtool.serial_line.silences import last_silence, longest_silence_ns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
@@ -67,6 +81,15 @@ UNSURE = 0.79
 LONG_NOISE = 2 * WINDOW
 """After this many bytes without a frame, the search runs only if the buffer has a frame with a
 correct CRC: a damaged frame that it found among so much noise would probably be noise, too."""
+
+
+class _BehindNoise(NamedTuple):
+    """A certain frame behind bytes that belong to no frame."""
+
+    skipped: int
+    """The number of these bytes."""
+    frame: tuple[int, Classification]
+
 
 _COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
@@ -98,9 +121,10 @@ class RtuSplitter:
         self._model = bus_model or BusModel(timed=timed)
         self._model.history.least_silence_ns = 2 * line.t3_5_ns
         self._fast_path = FastPath(self._model, speaker, WINDOW)
+        self._behind_noise = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
         self._bursts = BurstStatistics()
-        self._echo = AdapterEcho()
+        self._copies = FrameCopies()
         self.has_disorder = False
         """True once the time of a read was a little earlier than that of the read before."""
         self._data = b""
@@ -168,6 +192,7 @@ class RtuSplitter:
                 self._emit_certain_frames(events)
             if len(self._data) == WINDOW:
                 self._search(events, may_continue=True, keep=MAX_RTU_ADU)
+                self._emit_certain_frames(events)
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
@@ -191,7 +216,7 @@ class RtuSplitter:
         """Return the buffered bytes; forget times and bus state, as the clock was set back."""
         events = self.close()
         self._last_end = None
-        self._fast_path.restart(behind_noise=False)
+        self._fast_path.restart(0, behind_noise=False)
         self._model.reset_state()
         return events
 
@@ -220,31 +245,33 @@ class RtuSplitter:
     ) -> None:
         self._emit_certain_frames(events, True)
         is_to_wait = may_continue and not must_decide
-        if self._data and not (
+        while self._data and not (
             is_to_wait
             and (
-                self._echo.awaits(self._data)
+                self._copies.awaits(self._data)
                 or self._fast_path.is_incomplete(self._data, self._silences_at)
             )
         ):
-            self._search(events, may_continue=may_continue, must_decide=must_decide)
+            if not self._search(events, may_continue=may_continue, must_decide=must_decide):
+                break
+            self._emit_certain_frames(events, True)
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Append frames while the fast path is certain; `burst_over`: a silence follows `_data`."""
         while len(self._data) >= MIN_FRAME:
-            last = self._echo.last
+            last = self._copies.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
-            last = self._echo.last_response
+            last = self._copies.last_response
             if last and self._data.startswith(last) and self._take_repeated(events):
                 continue
-            if self._echo.repeats and (size := doubled_size(self._data, self._roles)):
+            if self._copies.repeats and (size := doubled_size(self._data, self._roles)):
                 self._emit_frame(size, self._classified_alone(size), events)
                 continue
-            copied = self._echo.copied
+            copied = self._copies.copied
             if copied and self._may_be_copied(len(copied)):
-                have = self._echo.copied_size(self._data)
+                have = self._copies.copied_size(self._data)
                 if have >= 2 * len(copied):  # Only what the master sends is copied: it is a retry.
                     self._emit_frame(len(copied), _COPIED_RETRY, events)
                     continue
@@ -253,8 +280,41 @@ class RtuSplitter:
             start_ns = self._times[0] - self._character_ns
             frame = self._fast_path.frame(self._data, start_ns, burst_over)
             if frame is None:
-                return
+                behind = self._frame_behind_noise(burst_over)
+                if behind is None:
+                    return
+                self._emit_skipped(behind.skipped, events)
+                frame = behind.frame
             self._emit_frame(*frame, events)
+
+    def _frame_behind_noise(self, burst_over: bool) -> _BehindNoise | None:
+        """Find a certain frame that follows the last one closely, with stray bytes between the two.
+
+        The stray bytes are fewer than LONG_SKIP, and this line has such bytes often.
+        """
+        data, statistics = self._data, self._statistics
+        if self._is_behind_noise or self._last_end is None or len(self._model.states) > 1:
+            return None
+        for size in range(1, min(LONG_SKIP, len(data) - MIN_FRAME)):
+            learned = statistics.noise if NOISE.issuperset(data[:size]) else statistics.skip
+            if learned.bits > costs.OFTEN_SKIPPED or not self._is_no_frame(data[size - 1 :]):
+                return None
+            start_ns = self._times[size] - self._character_ns
+            self._behind_noise.restart(0, behind_noise=True)
+            frame = self._behind_noise.frame(data[size:], start_ns, burst_over)
+            if frame is not None:
+                return _BehindNoise(size, frame)
+        return None
+
+    def _is_no_frame(self, data: bytes) -> bool:
+        """True if no frame that this line could expect begins with the bytes."""
+        pending = self._model.state.pending
+        if data[0] in self._model.history.units or (pending and pending.unit == data[0]):
+            return False
+        sizes = [frame_size(data, role) for role in self._roles]
+        return not any(
+            size is None or size > len(data) or (size and crc(data[:size]) == 0) for size in sizes
+        )
 
     def _may_be_copied(self, size: int) -> bool:
         """True if a silence of t3.5 precedes the next `size` bytes and none follows them so far."""
@@ -266,7 +326,7 @@ class RtuSplitter:
 
     def _take_copy(self, events: list[Adu | Skipped]) -> bool:
         """Skip the next bytes if they are an adapter's copy of the last request; True if so."""
-        last = self._echo.last
+        last = self._copies.last
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
@@ -277,19 +337,19 @@ class RtuSplitter:
         # If no silence follows these bytes, they may begin a longer frame.
         is_glued &= len(self._data) == size or self._is_silent(size)
         is_exact = first_ns - self._last_end[0] > self._character_ns
-        if not self._echo.takes_copy(glued=is_glued, exact=is_exact):
+        if not self._copies.takes_copy(glued=is_glued, exact=is_exact):
             return False
         self._remove(size, Verdict.GLUED)
-        events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), last))
+        events.append(Skipped(first_ns, EventKind.ECHO, self._copies.said(), last))
         return True
 
     def _take_repeated(self, events: list[Adu | Skipped]) -> bool:
         """Skip the next bytes if they are a repeater's copy of the last response; True if so."""
-        copy, first_ns = self._echo.last_response, self._times[0] if self._times else 0
-        if not self._echo.takes_repeated(self._data):
+        copy, first_ns = self._copies.last_response, self._times[0] if self._times else 0
+        if not self._copies.takes_repeated(self._data):
             return False
         self._remove(len(copy), Verdict.GLUED)
-        events.append(Skipped(first_ns, EventKind.REPEATED, self._echo.said_of_response(), copy))
+        events.append(Skipped(first_ns, EventKind.REPEATED, self._copies.said_of_response(), copy))
         return True
 
     def _search(
@@ -299,54 +359,60 @@ class RtuSplitter:
         may_continue: bool,
         must_decide: bool = False,
         keep: int = 0,
-    ) -> None:
+    ) -> bool:
         """Explain the buffered bytes by a search; append all but an incomplete frame to `events`.
 
-        The last `keep` bytes stay undecided. The other arguments are explained in ByteWindow.
+        The last `keep` bytes stay undecided, except those beyond doubt. The other arguments are
+        explained in ByteWindow.
+        Returns True if the search stopped where the first bytes were beyond doubt, so that the
+        bytes behind them have to be decided next.
         """
         data, cuts, end = self._data, self._silences_at, len(self._data)
         is_long_noise = self._noise_size >= LONG_NOISE
         if is_long_noise and not (has_frame(data, self._roles) or is_frame_between(data, cuts)):
             if keep or must_decide or not may_continue:
                 self._emit_skipped(end - keep, events)
-            return
+            return False
         last = self._last_end
+        silences = [False] * (end + 1)
+        silences[0] = last is None or self._times[0] - last[0] >= self._silent_ns
+        for cut in cuts:
+            silences[cut] = True
+        silences[end] = not keep
         window = ByteWindow(
             data,
             self._times[:],
             self._character_ns,
-            silences(self._times, last and last[0], self._silent_ns, at_end=not keep),
+            silences,
             is_behind_noise=self._is_behind_noise,
             may_continue=may_continue,
             must_decide=must_decide,
         )
-        segments = PathSearch(window, self._model, self._statistics, self._roles).segments()
+        search = PathSearch(window, self._model, self._statistics, self._roles)
+        segments = search.segments()
+        decided = max(end - keep, search.settled_size)
         history = self._model.history
         hears_only_slaves = history.hears_only_slaves
         for segment in segments:
             if history.hears_only_slaves is not hears_only_slaves:
                 # The search did not know this yet, so its later segments may be wrong.
-                self._search(events, may_continue=may_continue, must_decide=must_decide, keep=keep)
-                return
-            size, decidable = segment.size, end - keep - segment.offset
+                return True
+            size, decidable = segment.size, decided - segment.offset
             if segment.kind is SegmentKind.SKIPPED:
                 size = min(size, decidable)
             if segment.kind is SegmentKind.INCOMPLETE or not 0 < size <= decidable:
-                break
+                return False
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
                 if self._take_copy(events) or self._take_repeated(events):
                     # The search took the copy for a frame, so its later segments are wrong.
-                    if self._data:
-                        self._search(
-                            events, may_continue=may_continue, must_decide=must_decide, keep=keep
-                        )
-                    return
+                    return True
             else:
                 start_ns, end_ns = self._times[0] - self._character_ns, self._times[size - 1]
                 self._emit_skipped(size, events)
                 if size >= LONG_SKIP:
                     self._hear_damage(segment, start_ns, end_ns)
+        return True
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
         """Learn from skipped or damaged bytes, and compute the possible bus states after them."""
@@ -394,7 +460,7 @@ class RtuSplitter:
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
                 classification = replace(classification, confidence=confidence)
-        if self._echo.copies and self._echo.may_copy(raw, self._data[size:]):
+        if self._copies.copies and self._copies.may_copy(raw, self._data[size:]):
             confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(size, before_ns, longest_ns)
@@ -403,11 +469,11 @@ class RtuSplitter:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:
                 is_certain = classification.by is DirectionBy.FORM or pdu[0] in NEVER_ECHOED
-                echo = self._echo
-                is_soon = echo.last == raw and self._is_soon(before_ns)
-                echo.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
+                copies = self._copies
+                is_soon = copies.last == raw and self._is_soon(before_ns)
+                copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                self._echo.hear_response(raw, is_certain=pdu[0] not in ECHOING)
+                self._copies.hear_response(raw, is_certain=pdu[0] not in ECHOING)
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
@@ -508,7 +574,7 @@ class RtuSplitter:
         del self._times[:size]
         if self._decided_size:
             self._decided_size = max(self._decided_size - size, 0)
-        self._fast_path.restart(behind_noise=leaves is Verdict.NOISE_BEFORE)
+        self._fast_path.restart(size, behind_noise=leaves is Verdict.NOISE_BEFORE)
         self._silence_count = 0
         if self._silences_at:
             self._silences_at = [offset - size for offset in self._silences_at if offset > size]

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import CRC_BYTES
+from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU
 from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
@@ -33,6 +32,7 @@ from mbtool.serial_line.paths import (
     Segment,
     SegmentKind,
     as_doubtful,
+    common_end,
     merge_skipped,
     settled_segments,
     with_confidence,
@@ -73,10 +73,10 @@ class PathSearch:
         self._model = bus_model
         self._statistics = statistics
         self._is_speaker_known = len(roles) == 1
-        self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
-        """For each offset in the window, the paths (explanations of the bytes) kept that end
-        there."""
-        self._lowest_costs = [float("inf")] * len(self._paths)
+        self._paths: dict[int, list[Path]] = {}
+        """By offset in the window, the paths (explanations of the bytes) kept that end there and
+        were not extended yet."""
+        self._lowest_costs = [float("inf")] * (self._end + 1)
         """For each offset in the window, the cost in bits of the cheapest path (explanation of the
         bytes) that ends there."""
         self._incomplete: Path | None = None
@@ -88,14 +88,25 @@ class PathSearch:
         self._limit = float("inf")
         """Paths (explanations of the bytes so far) that cost more bits than this are dropped."""
         self._candidates = Candidates(window, bus_model, statistics, roles)
+        self.settled_size = 0
+        """The number of bytes, up to the end of a frame, that all paths explain in the same way.
+        `segments` sets it."""
 
     def segments(self) -> list[Segment]:
-        """Return the segments of the most likely path, in order; together they cover the window."""
-        self._extend_all()
-        ends, incomplete = self._paths[self._end], self._incomplete
+        """Return the segments of the most likely path, in order.
+
+        Together they cover the window, or its first bytes up to an offset at which only one path
+        was left: what follows there does not change what comes before.
+        """
+        only = self._extend_all()
+        if only is not None:
+            self.settled_size = only.end
+            return self._doubt_enclosed_frames(list(merge_skipped(with_confidence([only]))))
+        ends, incomplete = self._paths.get(self._end, []), self._incomplete
         for path in ends:
             path.cost += self._model.silence_cost(path.state, is_last=True)
         ends.sort(key=lambda path: path.cost)
+        self.settled_size = common_end(ends) if incomplete is None else 0
         if incomplete is None or (ends and ends[0].cost < incomplete.cost):
             segments = list(with_confidence(ends))
         elif self._window.must_decide:
@@ -104,23 +115,46 @@ class PathSearch:
             segments = settled_segments(ends, incomplete, self._end)
         return self._doubt_enclosed_frames(list(merge_skipped(segments)))
 
-    def _extend_all(self) -> None:
-        """Extend the paths at each offset by the frames and skipped bytes that may follow there."""
+    def _extend_all(self) -> Path | None:
+        """Extend the paths at each offset by the frames and skipped bytes that may follow there.
+
+        Stops and returns a path if it is the only one left and ends with enough whole frames.
+        """
         skipped = int(self._window.is_behind_noise)
         first = Path(0.0, self._model.state, None, None, skipped, ends_frame=not skipped)
         self._paths[0] = [first]
+        self._lowest_costs[0] = 0.0
         for bits, state in self._model.states[1:]:
             self._paths[0].append(Path(bits, state, first, None, skipped, ends_frame=not skipped))
         for offset in range(self._end):
-            paths = self._paths[offset]
+            paths = self._paths.pop(offset, None)
             if paths:
-                ahead = min(self._lowest_costs[offset + 1 : offset + MAX_RTU_ADU + 1])
+                ends = [end for end in self._paths if end <= offset + MAX_RTU_ADU]
+                ahead = min((self._lowest_costs[end] for end in ends), default=float("inf"))
                 beside = self._incomplete_limit + costs.INCOMPLETE_MARGIN
                 self._limit = min(ahead + costs.BEAM_MARGIN, beside)
-                paths = [path for path in paths if path.cost <= self._limit]
+                limit = min(self._limit, self._lowest_costs[offset] + costs.BEAM_MARGIN)
+                paths = [path for path in paths if path.cost <= limit]
+                if len(paths) == 1 and not self._paths and self._is_settled(paths[0]):
+                    return paths[0]
                 if paths:
                     self._extend(offset, paths)
-                self._paths[offset] = []
+        return None
+
+    def _is_settled(self, path: Path) -> bool:
+        """True if the only path left ends with frames which no bytes behind them can make ambiguous
+        (`_doubt_enclosed_frames`).
+        """
+        if self._incomplete is not None or path.segment is None or not path.ends_frame:
+            return False
+        before: Path | None = path
+        for _ in range(MAX_ENCLOSED + 1):
+            if before is None or before.segment is None or before.is_noise:
+                return True
+            if not before.ends_frame:
+                return False
+            before = before.previous
+        return True
 
     def _doubt_enclosed_frames(self, segments: list[Segment]) -> list[Segment]:
         """Mark frames as ambiguous if they may be register contents of one large damaged frame.
@@ -158,7 +192,7 @@ class PathSearch:
         """
         if path.cost > self._limit:
             return
-        paths = self._paths[offset]
+        paths = self._paths.setdefault(offset, [])
         for index, other in enumerate(paths):
             if bool(other.skipped) == bool(path.skipped) and other.state == path.state:
                 better, worse = (path, other) if path.cost < other.cost else (other, path)
@@ -263,6 +297,8 @@ class PathSearch:
         if not self._is_speaker_known:
             start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
             cost += self._model.cost(state, unit, pdu, role, start_ns)
+            if path.cost + cost > self._limit:
+                return
             inside_ns = self._candidates.longest_silence_ns(offset, frame.size)
             if state.settles_silence(role, start_ns, inside_ns):
                 cost += self._model.silence_cost(state)
@@ -281,7 +317,7 @@ class PathSearch:
         """
         before = path.cost + start_cost
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
-        if least >= self._incomplete_limit:
+        if least >= min(self._incomplete_limit, self._lowest_costs[self._end] + costs.BEAM_MARGIN):
             return
         # Noise does not end the wait for a response, so the bus state before the noise counts here.
         found = self._candidates.incomplete(offset, path.state)
@@ -367,9 +403,10 @@ class PathSearch:
             cost += costs.CRC_COINCIDENCE
         elif is_unknown:
             cost += costs.UNKNOWN_CRC_COINCIDENCE
+        total = path.cost + cost
+        if total > self._limit:
+            return
         segment = Segment(SegmentKind.SKIPPED, offset, 1)
         runs = path.runs + (not continues)
         skipped = path.skipped + 1
-        self._keep(
-            offset + 1, Path(path.cost + cost, path.state, path, segment, skipped, is_noise, runs)
-        )
+        self._keep(offset + 1, Path(total, path.state, path, segment, skipped, is_noise, runs))

@@ -101,6 +101,11 @@ class SettingsScore:
         return self.frames >= SURE_FRAMES and self.fit >= SURE_FIT
 
     @property
+    def is_pair(self) -> bool:
+        """True if a few right frames explain nearly all bytes: a request and its response."""
+        return self.frames >= LIKELY_FRAMES and self.fit >= SURE_FIT
+
+    @property
     def is_likely(self) -> bool:
         return self.frames >= LIKELY_FRAMES and self.fit >= LIKELY_FIT
 

@@ -2,26 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-
-def silences(
-    times: Sequence[int], last_ns: int | None, least_ns: int, *, at_end: bool
-) -> list[bool]:
-    """Return for each byte True if a silence precedes it, and `at_end` as one more value.
-
-    `times` are the ends of the bytes in ns. A silence is at least `least_ns` from the end of one
-    byte to the end of the next. `last_ns` is the time at which the byte before the first one ended;
-    if it is None, a silence precedes the first byte. `at_end` is True if a silence follows the last
-    byte.
-    """
-    first = last_ns is None or times[0] - last_ns >= least_ns
-    between = [after - before >= least_ns for before, after in pairwise(times)]
-    return [first, *between, at_end]
 
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     import io
     from collections.abc import Iterable, Iterator
 
-    from mbtool.core import LineSettings
+    from mbtool.core import LineSettings, WireEvent
+    from mbtool.packets.stream_events import StreamGap
+
+    SerialPiece = Chunk | WireEvent | StreamGap
+    """Bytes of a serial line, or a loss that a text log shows."""
 
 READ_BYTES = 4096
 

@@ -74,6 +74,7 @@ LOOKED_AT = 1000
 MAX_ROW = 4096
 """The most bytes that a row (a line of the CSV file) may have. A longer one raises InputError."""
 
+_FRAME = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}(?:[ :-]?[0-9A-Fa-f]{2}){3}", re.ASCII)
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _PREFIXED = re.compile(r"(?:.*\()?(0[xX][0-9A-Fa-f]{1,2})\)?", re.ASCII | re.DOTALL)
 _BINARY = re.compile(r"0b([01 ]{8,9})", re.ASCII)
@@ -128,9 +129,10 @@ def is_byte_times(head: bytes) -> bool:
     places = _places(_split(lines[0])) if lines else {}
     if START not in places or BYTE not in places:
         return bool(lines) and START in _split(lines[0])
-    if _split(lines[0])[places[START]] == START:
-        return True
     cells = _split(lines[1]) if len(lines) > 1 else []
+    if _split(lines[0])[places[START]] == START:
+        # A column of whole frames makes the file a text log.
+        return len(cells) <= places[BYTE] or not _FRAME.match(cells[places[BYTE]])
     if len(cells) <= max(places.values()):
         return False
     try:

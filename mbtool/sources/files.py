@@ -6,7 +6,8 @@
 # of a serial line, a file of no known kind is taken as the bytes of that line, or, if it is a text
 # of nothing but hexadecimal digits, as these bytes. On an ASCII line the bytes themselves are text;
 # so for such a line, a text counts as hexadecimal only if it has no colon and its digits are in
-# separate pairs. A byte order mark before a text is skipped.
+# separate pairs. A byte order mark before a text is skipped, and so are the zeros before a text
+# log, which a file system leaves at a loss of power.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
 # (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). A small file cannot cost
@@ -39,7 +40,7 @@ from mbtool.core import (
 from mbtool.core.wording import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
-from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
+from mbtool.sources.byte_files import read_hex, read_raw
 from mbtool.sources.text_log import TextLog
 
 if TYPE_CHECKING:
@@ -49,8 +50,8 @@ if TYPE_CHECKING:
 
     from _typeshed import WriteableBuffer
 
-    from mbtool.core import Chunk
     from mbtool.packets.line_packets import CaptureHead
+    from mbtool.sources.byte_files import SerialPiece
 
 _Item = TypeVar("_Item")
 
@@ -66,7 +67,11 @@ FREE_BYTES, the limit for other files, as the chunks inside a log are unpacked o
 PROBED = 64 * 1024
 """A text up to this size, in bytes, is searched for frames when it is opened."""
 
+MAX_ZEROS = 1 << 18
+"""Of a text that begins with zeros, at most so many are skipped."""
+
 _HEAD = 256
+_LEAST_ZEROS = 8
 _BUFFER = 64 * 1024
 _GZIP = b"\x1f\x8b"
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -143,8 +148,8 @@ class CaptureFile:
         """The name of the file's serial line: the file's name without its suffix, or "stdin"."""
         return "stdin" if _is_standard_input(self._file) else PurePath(self.name).stem
 
-    def serial(self, line: LineSettings | None) -> SerialBytes:
-        """Return the bytes of the serial line in the file, and the line's settings.
+    def serial(self, line: LineSettings | None) -> tuple[LineSettings, Iterator[SerialPiece]]:
+        """Return the line's settings and the bytes of the serial line in the file, in its order.
 
         If `line` is None, the settings are found from the times of the bytes. Raises InputError for
         a file of packets, for a log, and, if `line` is None, for a file without times. The iterator
@@ -154,9 +159,9 @@ class CaptureFile:
             line, pieces = self._serial(line)
         except OSError as error:
             raise _unreadable(self.name, error) from error
-        return SerialBytes(line, self.guarded(pieces))
+        return line, self.guarded(pieces)
 
-    def _serial(self, line: LineSettings | None) -> SerialBytes:
+    def _serial(self, line: LineSettings | None) -> tuple[LineSettings, Iterator[SerialPiece]]:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
             from mbtool.sources.byte_times import read_byte_times
@@ -169,14 +174,14 @@ class CaptureFile:
         if self.kind is CaptureKind.TEXT_LOG:
             settings = line or LineSettings(SerialFormat())
             self._text = TextLog(*of_file, settings.format)
-            return SerialBytes(settings, self._frames(self._text))
+            return settings, self._frames(self._text)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
 
-    def _frames(self, text: TextLog) -> Iterator[Chunk]:
+    def _frames(self, text: TextLog) -> Iterator[SerialPiece]:
         """Yield the frames of a text; raise InputError if it has none."""
-        yield from text.chunks()
+        yield from text.pieces()
         if not text.found:
             raise _no_frames(self.name, text)
 
@@ -189,6 +194,11 @@ class CaptureFile:
         twice = f"; {counted(text.shown_twice, 'frame')} shown twice" if text.shown_twice else ""
         if text.bare:
             twice += f"; {counted(text.bare, 'frame')} shown without CRC, which is computed"
+        if text.steps_back:
+            times = counted(text.steps_back, "time")
+            twice += f"; its times go back {times}, first in line {text.first_step_back}"
+        if text.guessed_date:
+            twice += f"; {text.guessed_date} is read as month, day, as nothing shows the order"
         found = f"{counted(text.found, 'frame')} in {counted(text.lines, 'line')}"
         return f"{self.name}: {found} of text, all else passed over{twice}"
 
@@ -263,6 +273,8 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
             head, stream = _peek(io.BufferedReader(unpacked, _BUFFER))
             if head.startswith(_MCAP):
                 unpacked.is_log()
+        if line is None or not line.ascii:
+            head, stream = _without_zeros(head, stream)
         if not head and line is None:
             raise InputError(f"{name}: empty; a capture has at least a header")
         kind = _kind(name, head, line)
@@ -305,6 +317,23 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
     return head, io.BufferedReader(_Rejoined(head, stream), _BUFFER)
 
 
+def _without_zeros(head: bytes, stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
+    """Skip zeros at the beginning of a stream if a text follows; return its head and the stream."""
+    if not head.startswith(bytes(_LEAST_ZEROS)):
+        return head, stream
+    zeros = 0
+    text = b""
+    while zeros < MAX_ZEROS and len(text) < _HEAD and (more := stream.read1(_BUFFER)):
+        if not text:
+            text = more.lstrip(b"\0")
+            zeros += len(more) - len(text)
+        else:
+            text += more
+    if not text or not is_text(text[:_HEAD]):
+        text = bytes(zeros) + text
+    return text[:_HEAD], io.BufferedReader(_Rejoined(text, stream), _BUFFER)
+
+
 def _probed(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
     """Return a stream that begins with the same bytes; raise EmptyError for a short text without a
     Modbus frame.
@@ -314,7 +343,7 @@ def _probed(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
     head = stream.read(PROBED)
     if len(head) < PROBED:
         text = TextLog(cast("BinaryIO", io.BytesIO(head)), name, "", SerialFormat())
-        if not any(True for _ in text.chunks()):
+        if not any(True for _ in text.pieces()):
             raise _no_frames(name, text)
     if stream.seekable():
         stream.seek(0)

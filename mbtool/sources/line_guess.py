@@ -2,12 +2,18 @@
 
 # The settings are tried one after the other, likely ones first, until nearly all bytes are in
 # frames with a correct checksum. With each setting the port is read until it is clear that the
-# setting is right or wrong, but at most for LISTEN_S. Bytes before the first silence are skipped,
-# since they may have been received with the previous setting; but at most SKIPPED bytes, as some
-# lines have no visible silence.
+# setting is right or wrong, but at most for LISTEN_S if bytes come. Where they come in bursts, as
+# from a master that polls each 30 s, a burst without a right frame is enough to try the next
+# setting, and one with two right frames, and nothing else, to use it. While nothing is heard, the
+# setting stays. What each setting has explained is kept, and if none is sure after the last one,
+# the first is tried again.
 #
-# This takes a second on a busy line with usual settings. If hardly any bytes come, it takes
-# LISTEN_S for each of 24 settings: four minutes.
+# Bytes before the first silence are skipped, since they may have been received with the previous
+# setting; but at most SKIPPED bytes, as some lines have no visible silence.
+#
+# This takes a second on a busy line with usual settings. A master that polls each 30 s takes 30 s
+# for each of 24 settings at most. A line that is silent for SILENCE_S ends the search, unless the
+# user wants to wait longer.
 #
 # A setting with parity is called certain only if the driver is known to mark bytes with wrong
 # parity: it must have marked some while another setting, or the other parity, was tried.
@@ -17,11 +23,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
+from mbtool.core.wording import counted
 from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_opening import open_listening
 from mbtool.ports.serial_port import IDLE_S, ListeningPort
 from mbtool.serial_line.settings_fit import (
     ENOUGH,
+    LIKELY_FIT,
     SettingsScore,
     SettingsTrial,
     other_parity,
@@ -32,27 +40,44 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LISTEN_S = 10
-"""The longest time for which a setting is tried, in seconds."""
+"""The longest time in seconds for which a setting is tried without a pause, if bytes come."""
+SILENCE_S = 60
+"""A line on which nothing is heard for this long (s) ends the search, unless the user says how long
+to wait."""
+WAIT_S = 15 * 60
+"""The search ends after this time (s), unless the user says how long to wait."""
 SKIPPED = 300
 """The most bytes that are skipped before the first silence, with each setting that is tried."""
+_BURST_ENDS_NS = 2_000_000_000
+"""A burst of bytes has ended after a silence of this length (ns): a splitter waits 1 s for the rest
+of a frame."""
+_PAIR_NS = 5_000_000_000
+"""A request and its response alone are enough if nothing follows for this time, in ns."""
+_LONGER = 1.5
+"""A setting hears nothing if nothing comes for so many times the longest silence before."""
+_TOLD_NS = 5_000_000_000
+"""The user is told how far the search is at most this often, in ns."""
 
 
 def guess_line(
     link: AutoLink,
     *,
+    wait_s: float | None = None,
+    on_progress: Callable[[str], None] = lambda _: None,
     open_: Callable[[str, SerialFormat], ListeningPort] = open_listening,
     clock: Callable[[], int] = now_ns,
 ) -> tuple[SerialLink, str]:
     """Return the link with the settings found, and a sentence that says how certain they are.
 
-    If the link has two ports, only the port at the master's side is read. `open_` opens a port to
-    listen; `clock` returns the time in ns. Raises LinkError if the port cannot be opened, if no
-    bytes come, and if no settings fit the bytes.
+    If the link has two ports, only the port at the master's side is read. `wait_s` is the longest
+    time to search, in s; None for the usual times. `on_progress` gets a line each few seconds.
+    `open_` opens a port to listen; `clock` returns the time in ns. Raises LinkError if the port
+    cannot be opened, if no bytes come, and if no settings fit the bytes.
     """
     to_hear = settings_to_try()
     port = open_(link.ports[0], to_hear[0])
     try:
-        return _guess(link, _Listener(port, clock, only_ascii=link.only_ascii), to_hear)
+        return _guess(link, _Listener(link, port, clock, wait_s, on_progress), to_hear)
     finally:
         port.close()
 
@@ -60,19 +85,25 @@ def guess_line(
 def _guess(
     link: AutoLink, listener: _Listener, to_hear: list[SerialFormat]
 ) -> tuple[SerialLink, str]:
-    scores: list[SettingsScore] = []
-    for heard_as in to_hear:
-        hearing = listener.listen(heard_as)
-        if hearing is None:
-            continue
-        if not hearing.heard and not scores:
-            break
-        scores += hearing.scores()
-        best = max(scores, key=_rank)
-        if best.is_sure:
-            return _found(link, best, _how_sure(heard_as, listener))
-    if not scores:
-        raise _nothing_heard(link)
+    trials: dict[SerialFormat, SettingsTrial] = {}
+    is_clear = False
+    while not is_clear and not listener.is_over():
+        for heard_as in to_hear:
+            trial = trials.setdefault(heard_as, listener.trial(heard_as))
+            if not listener.listen(heard_as, trial):
+                continue
+            best = trial.scores()[0]
+            if best.is_sure:
+                return _found(link, best, _how_sure(heard_as, listener))
+            if best.is_pair:
+                return _found(link, best, "likely, from so few frames")
+            if listener.is_over():
+                break
+        # Where each setting has heard enough, hearing more changes nothing.
+        is_clear = all(one.is_decided for one in trials.values())
+    if not listener.heard:
+        raise _nothing_heard(link, listener)
+    scores = [score for trial in trials.values() if trial.heard for score in trial.scores()]
     best, *others = sorted(scores, key=_rank, reverse=True)
     if best.is_likely:
         second = f"; second is {others[0]}" if others else ""
@@ -86,42 +117,131 @@ def _guess(
 class _Listener:
     """Reads the serial port with one setting after the other."""
 
-    def __init__(self, port: ListeningPort, clock: Callable[[], int], *, only_ascii: bool) -> None:
+    def __init__(
+        self,
+        link: AutoLink,
+        port: ListeningPort,
+        clock: Callable[[], int],
+        wait_s: float | None,
+        on_progress: Callable[[str], None],
+    ) -> None:
         self._port = port
         self._clock = clock
-        self._only_ascii = only_ascii
+        self._only_ascii = link.only_ascii
+        self._on_progress = on_progress
+        self._begin_ns = self._told_ns = self._last_ns = clock()
+        self._end_ns = self._begin_ns + round((WAIT_S if wait_s is None else wait_s) * 1e9)
+        self._silent_end_ns = self._end_ns
+        if wait_s is None:
+            self._silent_end_ns = self._begin_ns + SILENCE_S * 10**9
+        self._longest_silence_ns = 0
+        """The longest silence (ns) between two bursts of bytes; 0 if there was none yet."""
+        self._is_busy = False
+        """True if enough bytes for a decision have come without a pause."""
+        self._fitting: SettingsScore | None = None
+        """The score of the setting that has explained most so far; None if none has any frame."""
+        self.heard = 0
+        """The number of bytes heard, with all settings tried so far."""
         self.marked = 0
         """The number of bytes that the driver has marked as damaged, with all settings tried so
         far."""
 
-    def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
-        """Read the port with the setting `heard_as`; return how well the bytes fit it.
+    def is_over(self) -> bool:
+        """True if the time to search is over."""
+        return self._clock() >= (self._end_ns if self.heard else self._silent_end_ns)
 
-        Returns None if the setting cannot be applied to the port.
+    @property
+    def seconds(self) -> float:
+        """The time since the begin of the search, in s."""
+        return (self._clock() - self._begin_ns) / 1e9
+
+    def trial(self, heard_as: SerialFormat) -> SettingsTrial:
+        return SettingsTrial(heard_as, only_ascii=self._only_ascii)
+
+    def listen(self, heard_as: SerialFormat, trial: SettingsTrial, most_s: float = 0) -> bool:
+        """Read the port with the setting `heard_as`, and let `trial` judge the bytes.
+
+        With `most_s`, listen at most so many seconds. Returns False if the setting cannot be
+        applied to the port.
         """
         try:
             self._port.tune(heard_as)
         except LinkError:
-            return None
-        hearing = SettingsTrial(heard_as, only_ascii=self._only_ascii)
-        end_ns = self._clock() + LISTEN_S * 10**9
+            return False
+        begin_ns, marked = self._clock(), trial.marked
+        first_ns: int | None = None
         skipped: int | None = 0
-        while self._clock() < end_ns:
+        while not self.is_over() and not (most_s and self._clock() - begin_ns >= most_s * 1e9):
             data = self._port.read(IDLE_S)
             at_ns = self._clock()
+            begins = at_ns - self._last_ns >= _BURST_ENDS_NS
+            self._note(len(data), at_ns)
             if not data:
                 skipped = None
-                hearing.advance(at_ns)
+                trial.advance(at_ns)
             elif skipped is not None and skipped < SKIPPED:
                 skipped += len(data)
             else:
-                hearing.feed(data, self._port.damaged, at_ns)
+                first_ns = at_ns if first_ns is None or begins else first_ns
+                trial.feed(data, self._port.damaged, at_ns)
             # Do not stop right after data: the frame may continue, as some adapters make pauses
             # inside a frame.
-            if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
+            if (not data or trial.heard >= ENOUGH) and trial.is_decided:
+                self._is_busy = True
                 break
-        self.marked += hearing.marked
-        return hearing
+            if self._has_tried(trial, begin_ns, first_ns, at_ns):
+                break
+            self._tell(trial, at_ns)
+        self.marked += trial.marked - marked
+        self._note_fit(trial)
+        return True
+
+    def _note(self, count: int, at_ns: int) -> None:
+        if count:
+            silence_ns = at_ns - self._last_ns
+            if self.heard and silence_ns >= _BURST_ENDS_NS:
+                self._longest_silence_ns = max(self._longest_silence_ns, silence_ns)
+            self.heard += count
+            self._last_ns = at_ns
+
+    def _has_tried(
+        self, trial: SettingsTrial, begin_ns: int, first_ns: int | None, at_ns: int
+    ) -> bool:
+        """True if the next setting is to be tried, or this one to be used.
+
+        The setting has been listened to since `begin_ns`; `first_ns` is the time of the first byte
+        of the last burst that was judged, None if there was none.
+        """
+        if first_ns is None:
+            # Some settings hear nothing of a line that is much faster.
+            patience_ns = max(LISTEN_S * 10**9, round(_LONGER * self._longest_silence_ns))
+            if not self._is_busy and not self._longest_silence_ns:
+                patience_ns = SILENCE_S * 10**9
+            return self.heard > 0 and at_ns - begin_ns >= patience_ns
+        if at_ns - self._last_ns < _BURST_ENDS_NS:
+            return at_ns - first_ns >= LISTEN_S * 10**9
+        best = trial.scores()[0]
+        # One right frame, as of a slave whose master is not heard, wants to be heard again.
+        has_fit = best.frames > 0 and best.fit >= LIKELY_FIT
+        return not has_fit or (best.is_pair and at_ns - self._last_ns >= _PAIR_NS)
+
+    def _note_fit(self, trial: SettingsTrial) -> None:
+        best = trial.scores()[0]
+        if best.frames and (self._fitting is None or best.rank > self._fitting.rank):
+            self._fitting = best
+
+    def _tell(self, trial: SettingsTrial, at_ns: int) -> None:
+        """Tell the user how far the search is, each few seconds."""
+        if at_ns - self._told_ns < _TOLD_NS:
+            return
+        self._told_ns = at_ns
+        self._note_fit(trial)
+        fits = "nothing fits so far"
+        if self._fitting is not None:
+            settings = self._fitting.settings
+            fits = f"{settings.format} {'ASCII' if settings.ascii else 'RTU'} fits so far"
+        heard = f"heard {counted(self.heard, 'byte', ',')} in {self.seconds:.0f} s"
+        self._on_progress(f"{heard}, {fits}" if self.heard else heard)
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
@@ -132,8 +252,9 @@ def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
     """
     if heard_as.parity == "N" or listener.marked:
         return "sure"
-    hearing = listener.listen(other_parity(heard_as))
-    if hearing is not None and hearing.marked:
+    other = other_parity(heard_as)
+    trial = listener.trial(other)
+    if listener.listen(other, trial, LISTEN_S) and trial.marked:
         return "sure"
     return "sure; but for the parity, of whose errors this port tells nothing"
 
@@ -143,10 +264,11 @@ def _found(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLi
     return link.settled(found.format, ascii=found.ascii), f"{link.name}: {best}, {how_sure}"
 
 
-def _nothing_heard(link: AutoLink) -> LinkError:
+def _nothing_heard(link: AutoLink, listener: _Listener) -> LinkError:
     return LinkError(
-        f"link {link}: nothing was heard in {LISTEN_S} s; does a master poll, and are A and B "
-        f"connected? Or name the settings, for example {link.settled(SerialFormat(), ascii=False)}"
+        f"link {link}: nothing was heard in {listener.seconds:.0f} s; does a master poll, "
+        "and are A and B connected? --wait 5min listens longer. Or name the settings, for example "
+        f"{link.settled(SerialFormat(), ascii=False)}"
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import AutoLink, InterfaceLink, LinkSpec, SerialLink, TapLink, TcpLink, UsageError
 from mbtool.core.link_spec import MODBUS_PORT
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 
 from mbtool.core.local_ports import LocalInterface, PortTrouble
-from mbtool.ports.system_files import read_number, read_text
+from mbtool.ports.local_ports import read_number, read_text
 from mbtool.sources.interface import capture_trouble, hardware_trouble
 
 _IFF_UP = 1

@@ -6,7 +6,7 @@
 # kernel has removed.
 #
 # The filter keeps all packets that could belong to a Modbus connection:
-#   TCP over IPv4 or IPv6 from or to one of the ports; any TCP if no port is named
+#   TCP and UDP over IPv4 or IPv6 from or to one of the ports; all of both if no port is named
 #   IPv4 fragments of TCP, since only the first one has the ports
 #   IPv6 with an extension header before TCP, or instead of it
 #   packets with a second VLAN tag (802.1ad), with a tag that the kernel does not remove (9100H), or
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
-from mbtool.packets.segment import BEFORE_TCP, TCP
+from mbtool.packets.segment import BEFORE_TCP, TCP, UDP
 from mbtool.packets.tunnels import ERSPAN, GRE
 
 if TYPE_CHECKING:
@@ -67,7 +67,8 @@ class Instruction:
 
 
 def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
-    """Assemble the filter that keeps the packets of some TCP ports, or of all if `ports` is empty.
+    """Assemble the filter that keeps the packets of some ports of TCP and UDP, or of all ports if
+    `ports` is empty.
 
     Returns each instruction as the kernel's struct sock_filter. `is_loopback` is True if the filter
     is for the loopback interface, None if it is for a capture of all interfaces. Raises UsageError
@@ -85,15 +86,22 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
         "ipv4",
         Instruction(_LD_BYTE, _NET + 9),
         Instruction(_JUMP_EQUAL, GRE, "gre"),
+        Instruction(_JUMP_EQUAL, UDP, "udp"),
         Instruction(_JUMP_EQUAL, TCP, "", "drop"),
         Instruction(_LD_HALF, _NET + 6),
-        Instruction(_JUMP_ANY_BIT, _MORE_FRAGMENTS_OR_OFFSET, "keep"),
+        Instruction(_JUMP_ANY_BIT, _MORE_FRAGMENTS_OR_OFFSET, "keep", "whole"),
+        "udp",
+        Instruction(_LD_HALF, _NET + 6),
+        Instruction(_JUMP_ANY_BIT, _MORE_FRAGMENTS_OR_OFFSET, "drop"),
+        "whole",
         Instruction(_LDX_HEADER_LENGTH, _NET),
         Instruction(_JUMP, then="ports"),
         "ipv6",
         Instruction(_LD_BYTE, _NET + 6),
         *(Instruction(_JUMP_EQUAL, header, "keep") for header in sorted(BEFORE_TCP)),
+        Instruction(_JUMP_EQUAL, UDP, "six"),
         Instruction(_JUMP_EQUAL, TCP, "", "drop"),
+        "six",
         Instruction(_LDX_IMMEDIATE, 40),
         "ports",
         *_from_or_to(ports),

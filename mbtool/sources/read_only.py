@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
-from mbtool.modbus.adu import Adu
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Adu, mbap_adu, rtu_adu
 from mbtool.modbus.functions import ExceptionCode, function_name
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 

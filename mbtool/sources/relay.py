@@ -30,11 +30,9 @@ from typing import TYPE_CHECKING
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
-from mbtool.ports.connection_limits import SPARE_S
 from mbtool.ports.host_names import why_unknown
-from mbtool.ports.tcp_listener import reset
-from mbtool.ports.tls import failure
-from mbtool.ports.tls_peer import described
+from mbtool.ports.tcp_listener import SPARE_S, reset
+from mbtool.ports.tls import described, failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable

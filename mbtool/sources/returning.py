@@ -4,7 +4,7 @@
 # source puts a GAP event, closes the lost source, and tries to open the link again: after 0.25 s,
 # then after twice as long each time, up to 5 s while the link is there but cannot be opened, and up
 # to 1 s while it is not there, as looking into /dev costs little. A serial port is found under
-# another name, too (ports/port_identity.py). When the link is open again, another GAP event says
+# another name, too (ports/local_ports.py). When the link is open again, another GAP event says
 # how long it was away. All items keep the name of the link.
 #
 # If the first opening fails, it is not repeated: a link that is absent at the start is probably a
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, SerialLink, WireEvent
 from mbtool.ports.clock import monotonic_ns, now_ns
-from mbtool.ports.port_identity import find_port, identity_of
+from mbtool.ports.local_ports import find_port, identity_of
 from mbtool.sources.inbox import Ended
 from mbtool.sources.source import LiveSource
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
 
-    from mbtool.ports.port_identity import PortIdentity
+    from mbtool.ports.local_ports import PortIdentity
     from mbtool.sources.inbox import Inbox, Item
 
     MakeSource = Callable[[Any, Mapping[str, str]], LiveSource[Any]]

@@ -26,7 +26,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.core.modem_lines import ModemLines
+from mbtool.core.serial_format import ModemLines
 from mbtool.ports.clock import now_ns
 from mbtool.ports.line_errors import ErrorCounts, LineErrors
 from mbtool.ports.serial_opening import open_passing

@@ -17,7 +17,7 @@
 # its log before they run out, so a tap with `waits` accepts no master until `accept` is called.
 # Masters that connect earlier, or while no more files can be opened, wait in the system's queue.
 #
-# Limits, which the user's (ports/connection_limits.py) replace: 64 connections at once. A further
+# Limits, which the user's (ports/tcp_listener.py) replace: 64 connections at once. A further
 # one is reset, with an event, unless another connection is unused: on that one the slave never
 # answered or a side has ended, and no byte came for SPARE_S. The unused one is then closed. So a
 # flood of connections takes no place for longer than that. A connection without a byte for an hour
@@ -34,9 +34,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, EventKind, Quiet, TapLink, WireEvent
 from mbtool.packets import CloseReason
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import now_ns
-from mbtool.ports.tcp_listener import TcpListener, reset
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener, reset
 from mbtool.ports.tls import client_context, server_context
 from mbtool.sources.inbox import Ended
 from mbtool.sources.outbox import Outbox

@@ -18,6 +18,11 @@
 # they would have, in a log without frames: a request of the form of its function, and behind it the
 # response that fits it, both with a word or arrow.
 #
+# A response may be shown that is no whole frame. If the bytes behind a request have the length of
+# its response, and a word or arrow, they are that response with a wrong CRC. If they only begin
+# like its response and the next frame is another request, the log lacks the rest: a frame with
+# `is_whole` False says so, as the slave was not silent.
+#
 # A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
 #
 # Memory: MAX_HELD frames, MAX_LABELS labels with at most MAX_PART bytes each.
@@ -30,10 +35,17 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    MAX_TCP_ADU,
+    MBAP_BYTES,
+    Transport,
+    crc,
+    mbap_size,
+    read_frame,
+)
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of
@@ -60,12 +72,14 @@ MAX_MISSES = 32
 dump of one frame are 17 at most."""
 
 FEW_MISSES = 16
-"""A log of a single RTU frame that has a direction counts if at most so many runs of bytes are no
-frame."""
+FEWEST_MISSES = 4
+"""A log with too little evidence counts at its end if at most so many runs of bytes are no frame:
+16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
+as most requests are, or several different ones."""
 
 _MARKED = 2
+_REQUEST_SIZE = 8
 _MIN_MBAP, _MIN_BARE = MBAP_BYTES + 1, 3
-_MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
 _RTU_START = re.compile(rb"(?=[\x00-\xf7][%s])" % re.escape(_CODES), re.DOTALL)
@@ -82,6 +96,8 @@ class TextFrame(NamedTuple):
     direction: Direction
     row: int
     """The number of its line in the file, from 1."""
+    is_whole: bool = True
+    """False for bytes that only begin like a response; the log lacks the rest."""
 
 
 class Label(NamedTuple):
@@ -109,6 +125,8 @@ class _OpenBytes:
         self.data = b""
         self.row = 0
         """The number of the last line that brought bytes."""
+        self.misses = 0
+        """The number of pieces so far that completed no frame."""
         self._begins: list[int] = []
         """The offsets at which the last pieces begin, at which a frame of any kind may begin."""
         self._open: list[tuple[int, int]] = []
@@ -196,6 +214,9 @@ class TextFrames:
         """The number of runs of bytes without a frame before the log was known."""
         self._bare_request: _FoundFrame | None = None
         """The last request that was shown without a frame, with the CRC that it would have."""
+        self._begun: TextFrame | None = None
+        """The bytes that began like the response to the last request, if the response did not
+        follow."""
         self.bare = 0
         """The number of frames that were shown without their CRC."""
         self.left_out = 0
@@ -225,7 +246,9 @@ class TextFrames:
         )
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not shown)
-        frames = [frame for one in shown if (frame := self._frame(one, label)) is not None]
+        if not shown and self._pending is not None:
+            shown = self._damaged(choices[0], self._pending, label, ts_ns, row)
+        frames = [frame for one in shown for frame in self._frame(one, label)]
         if self.is_modbus:
             if self._held:
                 frames = [*self._held, *frames]
@@ -236,9 +259,11 @@ class TextFrames:
     def close(self) -> list[TextFrame]:
         """Return the frames of a log that ends before it has given enough evidence.
 
-        There are some only if all bytes of the log were frames, or nearly all.
+        There are some only if nearly all bytes of the log were frames.
         """
-        most = FEW_MISSES if self._has_marked else 0
+        rtu = {one.raw for one in self._held if one.transport is Transport.RTU}
+        has_rtu = len(rtu) > 1 or any(len(one) == _REQUEST_SIZE for one in rtu)
+        most = FEW_MISSES if self._has_marked else FEWEST_MISSES if has_rtu else 0
         if self.is_modbus or self._missed > most or not self._evidence:
             return []
         return [*self._held]
@@ -246,6 +271,33 @@ class TextFrames:
     def drop_parts(self) -> None:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
+
+    def is_open(self, label: Label, row: int) -> bool:
+        """True if bytes at the same place of a line shortly before are no whole frame yet."""
+        part = self._parts.get(label.text)
+        return part is not None and bool(label.text) and row - part.row <= MAX_LINES_APART
+
+    def _damaged(
+        self, data: bytes, asked: TextFrame, label: Label, ts_ns: int | None, row: int
+    ) -> list[_FoundFrame]:
+        """Return the response to the last request if it has its length, but a wrong CRC.
+
+        If the bytes only begin like the response, note that.
+        """
+        is_begin = _begins_answer(data, asked)
+        if is_begin and asked.raw.startswith(data):
+            # A part of the request that is shown again, or a response that begins like it.
+            before = None if self._last is None else self._last[1]
+            is_begin = label.mark is not None and label.text != before
+        if is_begin and asked.transport is Transport.RTU and label.mark is not None:
+            size = frame_size(data, Direction.RESPONSE)
+            if size == len(data) and crc(data) and _answers(asked.raw, Transport.RTU, data):
+                self._parts.pop(label.text, None)
+                return [_FoundFrame(Transport.RTU, data, ts_ns, row, Direction.RESPONSE)]
+        if is_begin and self._begun is None:
+            way = Direction.RESPONSE
+            self._begun = TextFrame(ts_ns, data, asked.transport, way, row, is_whole=False)
+        return []
 
     def _bare(self, data: bytes, label: Label, ts_ns: int | None, row: int) -> list[_FoundFrame]:
         """Return a request and its response that are shown without a frame, once both are there."""
@@ -259,7 +311,7 @@ class TextFrames:
         if asked is not None and is_answer and _answers(asked.raw, Transport.RTU, raw):
             self.bare += 2
             return [asked, _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.RESPONSE)]
-        if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
+        if Direction.REQUEST in form and data[0] <= LAST_UNIT:
             self._bare_request = _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.REQUEST)
         return []
 
@@ -278,18 +330,25 @@ class TextFrames:
             part = _OpenBytes()
         part.row = row
         found = part.feed(data)
+        if found:
+            self._missed -= part.misses  # They were parts of a frame.
+            part.misses = 0
+        elif not self.is_modbus:
+            part.misses += 1
         if part.data:
             self._parts[label.text] = part
             if len(self._parts) > MAX_LABELS:
                 self._parts.popitem(last=False)
         return found
 
-    def _frame(self, one: _FoundFrame, label: Label) -> TextFrame | None:
-        """Decide the direction of a frame, if it is not known; None if it was shown before."""
+    def _frame(self, one: _FoundFrame, label: Label) -> list[TextFrame]:
+        """Decide the direction of a frame, if it is not known; return it if it was not shown before
+        and the log is known, behind the part of a response that precedes it.
+        """
         transport, raw, ts_ns, row, way = one
         if self._is_network and transport is not Transport.TCP:
             self.left_out += 1
-            return None
+            return []
         form = forms(transport, raw)
         direction, is_sure = way, False
         if direction is None:
@@ -301,10 +360,13 @@ class TextFrames:
             self._keep_network()
             if transport is not Transport.TCP:
                 self.left_out += 1
-                return None
+                return []
         elif self._is_shown_twice(frame, label, is_sure=is_sure):
             self.left_out += 1
-            return None
+            return []
+        begun, self._begun = self._begun, None
+        if direction is Direction.RESPONSE or self._pending is None:
+            begun = None
         before, self._last = self._last, (frame, label.text)
         is_pair = False
         if direction is Direction.REQUEST:
@@ -320,11 +382,10 @@ class TextFrames:
             self._has_marked |= weight >= _MARKED
             is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
             self._evidence += ENOUGH if is_pair and form and not is_echo else weight
-            self._held.append(frame)
             if self._evidence < ENOUGH:
-                return None
-            self._held.pop()
-        return frame
+                self._held += [frame] if begun is None else [begun, frame]
+                return []
+        return [frame] if begun is None else [begun, frame]
 
     def _direction(
         self, transport: Transport, raw: bytes, form: tuple[Direction, ...], label: Label
@@ -415,6 +476,18 @@ def _answers(request: bytes, transport: Transport, raw: bytes) -> bool:
     return unit == other and expected is not None and expected.fits(pdu)
 
 
+def _begins_answer(data: bytes, asked: TextFrame) -> bool:
+    """True if bytes begin like the response to a request."""
+    match asked.transport:
+        case Transport.RTU:
+            start = data[:2]
+            return start in (asked.raw[:2], bytes((asked.raw[0], asked.raw[1] | EXCEPTION_BIT)))
+        case Transport.ASCII:
+            return data[:3] == asked.raw[:3]
+        case _:
+            return data[:4] == asked.raw[:4] and len(data) > 4
+
+
 @lru_cache(maxsize=1024)
 def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
     """The directions of which an ADU has the form."""
@@ -457,7 +530,7 @@ def _rtu_frames(data: bytes, *, marked: bool) -> list[tuple[Transport, bytes]]:
 def _rtu_size(data: bytes, at: int) -> int:
     """The size of the RTU frame of a known function that begins at `at`; 0 if there is none."""
     start = data[at : at + MAX_RTU_ADU]
-    if len(start) < MIN_FRAME or start[0] > _MAX_UNIT:
+    if len(start) < MIN_FRAME or start[0] > LAST_UNIT:
         return 0
     for direction in _SENDERS:
         size = frame_size(start, direction)
@@ -490,7 +563,7 @@ def _ascii_frames(data: bytes) -> list[tuple[Transport, bytes]]:
     while match := _ASCII.match(data, at):
         raw = match[0].rstrip(b"\r\n") + b"\r\n"
         frame = read_frame(raw)
-        if frame is None or not frame.checksum.ok or frame.body[0] > _MAX_UNIT:
+        if frame is None or not frame.checksum.ok or frame.body[0] > LAST_UNIT:
             return []
         if not forms(Transport.ASCII, raw):
             return []

@@ -28,15 +28,27 @@ from collections import deque
 from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    EventKind,
+    Origin,
+    Stamp,
+    StreamPlace,
+    WireEvent,
+)
 from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.moments import DAY_NS
 from mbtool.modbus.adu import Transport
+from mbtool.packets.stream_events import StreamGap
 from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
-    DAY_NS,
     MAX_TIME_NS,
     DateOrder,
     Time,
+    bracket_mark,
     find_mark,
     find_time,
 )
@@ -64,7 +76,8 @@ MASTER = "master"
 
 _MAY_BE_BYTES = re.compile(
     rb"00[ ,:|;\t_-]{1,2}00(?![0-9A-Za-z])|0[xX]0|0{8}|[\[<]00[\]>]|\\[x0]|00[hH][ ,]"
-    rb"|0{2,}0(?: 0000)|\(0+, \"|(?:[:=>\]]\s?|^\s*)00(?:\s{3,}\S{1,3})?\s*$|(?:0{1,3},\s?){3}"
+    rb"|0{2,}0(?: 0000)|\(0+, \"|[ 0]000#00|0{4} \| 00|(?:0{1,3}(?:,\s?|-)){3}"
+    rb"|(?:[:=>\]]\s{0,2}|^\s*)00(?:\s{3,}\S{1,3})?\s*$"
 )
 _UNIMPORTANT = re.compile(rb"[0\s]+")
 _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
@@ -114,6 +127,17 @@ class TextLog:
         """The number of bytes that the log shows, of frames or not."""
         self.found = 0
         """The number of frames found."""
+        self.steps_back = 0
+        """How often the time of a frame is MAX_BACK_NS or more before that of the frame before."""
+        self.first_step_back = 0
+        """The number of the line at which that happens first; 0 if it does not."""
+
+    @property
+    def guessed_date(self) -> str:
+        """A date whose day and month were guessed, as nothing in the log shows their order; empty
+        if there is none.
+        """
+        return self._dates.guessed.decode() if self._dates.is_guessed else ""
 
     @property
     def shown_twice(self) -> int:
@@ -125,8 +149,11 @@ class TextLog:
         """The number of frames that the log shows without their CRC, which was computed."""
         return self._frames.bare
 
-    def chunks(self) -> Iterator[Chunk]:
-        """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""
+    def pieces(self) -> Iterator[Chunk | WireEvent | StreamGap]:
+        """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus.
+
+        Where the log lacks a part of a response, the loss is yielded.
+        """
         frames = self._found_frames()
         first: list[TextFrame] = []
         for frame in frames:
@@ -137,7 +164,7 @@ class TextLog:
             if len(first) == MAX_UNTIMED:
                 break
         for frame in chain(first, frames):
-            yield self._chunk(frame)
+            yield self._chunk(frame) if frame.is_whole else self._loss(frame)
 
     def _found_frames(self) -> Iterator[TextFrame]:
         for lines in self._blocks():
@@ -164,6 +191,8 @@ class TextLog:
                 decoder = codecs.getincrementaldecoder("utf-16")("replace")
             if decoder is not None:
                 data = decoder.decode(data).encode("utf-8", "replace")
+            if b"\0" in data:
+                data = data.replace(b"\0", b"")  # A machine that lost its power leaves them.
             if is_first:
                 self._dates.note(data)
             is_first = False
@@ -205,7 +234,8 @@ class TextLog:
                 label, ts_ns = self._of_dump(line[: first.start], label, ts_ns)
             elif label.mark is None or ts_ns is None:
                 label, ts_ns = self._of_lines_before(label, ts_ns)
-            if len(choices[0]) < LEAST_BYTES and label.mark is None and not first.is_row:
+            is_short = len(choices[0]) < LEAST_BYTES and not first.is_row
+            if is_short and label.mark is None and not self._frames.is_open(label, self.lines):
                 continue
             self._last_mark = self.lines, label.mark
             self._time_ns = ts_ns if ts_ns is not None else self._time_ns
@@ -217,7 +247,7 @@ class TextLog:
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
         """
-        is_first = b"0" in offset and not offset.strip(b" \t:0xh")
+        is_first = b"0" in offset and not offset.strip(b" \t:|0xh")
         if is_first:
             self._frames.drop_parts()
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
@@ -260,14 +290,32 @@ class TextLog:
             ts_ns += self._day_ns
         return ts_ns if 0 <= ts_ns < MAX_TIME_NS else None
 
-    def _chunk(self, frame: TextFrame) -> Chunk:
+    def _loss(self, frame: TextFrame) -> WireEvent | StreamGap:
+        """The event for a response of which the log lacks a part."""
+        ts_ns = self._sending_ns(frame)
+        if frame.transport is Transport.TCP:
+            return StreamGap(ts_ns, self._connection, Direction.RESPONSE, 0)
+        what = f"line {frame.row}: the response is not whole in this text: {frame.raw.hex(' ')}"
+        return WireEvent(ts_ns=ts_ns, link=self._link, kind=EventKind.GAP, message=what)
+
+    def _sending_ns(self, frame: TextFrame) -> int:
+        """The time of a frame, which is that of the frame before if it has none or is a little
+        earlier.
+        """
         self._bytes += len(frame.raw)
         ts_ns = frame.ts_ns
         if not self._is_timed:
             ts_ns = self._bytes * self._character_ns
         elif ts_ns is None or 0 < self._sent_ns - ts_ns < MAX_BACK_NS:
             ts_ns = self._sent_ns
+        elif ts_ns < self._sent_ns:
+            self.steps_back += 1
+            self.first_step_back = self.first_step_back or frame.row
         self._sent_ns = ts_ns
+        return ts_ns
+
+    def _chunk(self, frame: TextFrame) -> Chunk:
+        ts_ns = self._sending_ns(frame)
         self.found += 1
         is_network = frame.transport is Transport.TCP
         origin = None if is_network else StreamPlace(0, None, self._origin)
@@ -299,12 +347,12 @@ def _cleaned(lines: list[bytes]) -> list[bytes]:
 def _plan(line: bytes, shape: bytes) -> _Plan | None:
     time = find_time(line)
     found = find_bytes(line, shape, 0 if time is None else time.end)
-    if time is not None:
-        all_found = find_bytes(line, shape)
-        if time.is_number and all_found and all_found[0].start <= time.start:
-            time, found = None, all_found  # The first byte of [01][03] is no time.
-        elif not found:
-            found = [one for one in all_found if one.end <= time.start]
+    if time is not None and not found:
+        found = find_bytes(line, shape)
+        if time.is_number and found and found[0].start <= time.start:
+            time = None  # The first bytes of a frame are no time.
+        else:
+            found = [one for one in found if one.end <= time.start]
     places: list[_BytesPlace] = []
     end = 0
     for one in found:
@@ -315,7 +363,7 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
             continue
         before = line[end : one.start]
         mark = find_mark(before) or (places[-1].label.mark if places else None)
-        mark = mark or find_mark(line[one.end :], last=False)
+        mark = mark or find_mark(line[one.end :], last=False) or bracket_mark(shape[one.start :])
         text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
         places.append(_BytesPlace((one,), Label(text, mark)))
         end = one.end

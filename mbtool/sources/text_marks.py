@@ -4,10 +4,14 @@
 # from the next day on when it goes back by more than half a day. A syslog time has no year; it is
 # in 1970. Times in seconds, and milliseconds since the boot of a device, count from 1970.
 # A number in brackets is such a time if it has 4 digits or more; fewer are of a port or a unit.
+# A number of 10, 13, 16 or 19 digits that is a time from 2008 to 2033 in s, ms, us or ns is that
+# time. It needs no fraction and no brackets.
 #
-# Dates like 12/02/2024 have one order in a file, that of its first date with a number above 12.
-# Dates before it have the month first, unless all are in the first READ_BYTES of the file. A date
-# in the other order is no time.
+# Dates like 12/02/2024 and 12-02-2024 have one order in a file. Two things show it: a number above
+# 12, and two dates in a row of which one number is equal, as midnight changes the day and not the
+# month. Dates before that have the month first, unless all are in the first READ_BYTES of the file.
+# A date in the other order is no time. A file that never shows its order is read month first, and
+# the user is told.
 #
 # Only what stands before the bytes is a time: a date and a time anywhere, a number at the front.
 
@@ -21,7 +25,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-DAY_NS = 86_400 * 10**9
 MAX_TIME_NS = 1 << 62
 NEAR = 120
 """A mark is looked for in this many characters next to the bytes."""
@@ -121,15 +124,22 @@ def _milliseconds(text: bytes) -> int:
     return int(text) * 10**6
 
 
+def _since_1970(text: bytes) -> int:
+    """Read a number of 10, 13, 16 or 19 digits, in s, ms, us or ns."""
+    return int(text.ljust(19, b"0"))
+
+
 _ISO = re.compile(
     rb"\d{4}[-/.]\d\d[-/.]\d\d[ T_,]\d\d:\d\d:\d\d(?:[.,:]\d{1,9})?(?: ?(?:Z|[+-]\d\d:?\d\d))?"
     rb"(?!\d|:\d)"
 )
 _FRACTION = re.compile(rb"(?:[.,:](\d{1,9}))? ?(Z|[+-]\d\d:?\d\d)?")
 _SHORT = re.compile(
-    rb"(\d{1,2})([./-])(\d{1,2})[./-](\d{4}),?[ T]{1,2}" + _CLOCK + rb"(?: ?([aApP][mM]))?"
+    rb"(?<!\d)(\d{1,2})([./-])(\d{1,2})[./-](\d{4}),?[ T]{1,2}" + _CLOCK + rb"(?: ?([aApP][mM]))?"
 )
-_SLASHED = re.compile(rb"(?<!\d)(\d{1,2})/(\d{1,2})(?=/\d{4},?[ T]{1,2}\d{1,2}:)")
+_SLASHED = re.compile(
+    rb"(?<!\d)(\d{1,2})(?P<mark>[/-])(\d{1,2})(?=(?P=mark)\d{4},?[ T]{1,2}\d{1,2}:)"
+)
 _SYSLOG = re.compile(rb"(?i)\b" + _MONTH + rb"\s+(\d{1,2})(?:,? (\d{4}))?,? +" + _CLOCK)
 _DAY_MONTH = re.compile(rb"(?i)\b(\d{1,2})[ /-]" + _MONTH + rb"[ /-](\d{4})[ :T]" + _CLOCK)
 _OF_DAY = re.compile(rb"(?<![\d:.])" + _CLOCK)
@@ -141,8 +151,16 @@ _FORMS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int], int, bool], ...] 
     (re.compile(rb"()()" + _OF_DAY.pattern), _clock, 0, True),
 )
 _AT_FRONT: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int]], ...] = (
-    (re.compile(rb"[\[(]?\s*(\d{13})(?!\d)"), _milliseconds),
-    (re.compile(rb"[\[(]?\s*(\d{1,10}[.,]\d{3,9})(?![\d.])"), _seconds),
+    (
+        re.compile(
+            rb"\W{0,2}\s*(1[2-9]\d{8}(?:\d{3}(?:\d{3}(?:\d{3})?)?)?)(?!\d|\.\d|,\d{3,9}(?!\w)|[A-Za-z_])"
+        ),
+        _since_1970,
+    ),
+    (
+        re.compile(rb"\s*[\[(]?\s*(\d{1,10}[.,]\d{3,9}|1[2-9]\d{8}\.\d{1,2})(?![\d.]|[A-Za-z_])"),
+        _seconds,
+    ),
     (re.compile(rb"\s*(\d{1,12}) ?ms\b"), _milliseconds),
     (re.compile(rb"[\[(]\s*(\d{4,12})\s?[\])]"), _milliseconds),
 )
@@ -168,13 +186,25 @@ class DateOrder:
     def __init__(self) -> None:
         self._has_day_first: bool | None = None
         """None until a date has shown it."""
+        self._last: tuple[int, int] | None = None
+        self.guessed = b""
+        """The first date that was read month first without a date that shows it; empty if none."""
+
+    @property
+    def is_guessed(self) -> bool:
+        """True if dates were read of which nothing in the file shows the order."""
+        return self._has_day_first is None and bool(self.guessed)
 
     def note(self, text: bytes) -> None:
-        """Decide the order by the first date of a text that has a number above 12."""
+        """Decide the order by the first date of a text that shows it."""
         for match in _SLASHED.finditer(text):
-            numbers = [int(one) for one in match.groups()]
-            if self._has_day_first is None and max(numbers) > 12:
-                self._has_day_first = numbers[0] > 12
+            if self._has_day_first is not None:
+                return
+            last, self._last = self._last, (int(match[1]), int(match[3]))
+            if max(self._last) > 12:
+                self._has_day_first = self._last[0] > 12
+            elif last is not None and (last[0] == self._last[0]) != (last[1] == self._last[1]):
+                self._has_day_first = last[1] == self._last[1]
 
     def read(self, time: Time, text: bytes) -> int:
         """Read the text of a time to ns. Raises ValueError if it is no time."""
@@ -182,7 +212,9 @@ class DateOrder:
             if self._has_day_first is None:
                 self.note(text)
             if not self._has_day_first:
-                text = _SLASHED.sub(rb"\2/\1", text)
+                if self._has_day_first is None and not self.guessed and _SLASHED.match(text):
+                    self.guessed = text[:10].rstrip()
+                text = _SLASHED.sub(rb"\3\2\1", text)
         return time.read(text)
 
 
@@ -221,6 +253,13 @@ class Mark(NamedTuple):
 
 
 _NUMBERS = b"0123456789"
+_BRACKETS = {b"[00][00][00][00]": Mark(b"[]", True), b"<00><00><00><00>": Mark(b"<>", False)}
+"""What libmodbus puts around the bytes that it sends and receives."""
+
+
+def bracket_mark(shape: bytes) -> Mark | None:
+    """Return the mark that brackets around each byte are; None if bytes are written otherwise."""
+    return _BRACKETS.get(shape[:16])
 
 
 def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mark | None:

@@ -25,8 +25,8 @@ DUMP_ROW = 16
 _BEFORE = rb"(?<![0-9A-Za-z_.])"
 _AFTER = rb"(?![0-9A-Za-z_])"
 _PUNCTUATION = bytes(set(range(128)) - set(b"0123456789abcdefABCDEF"))
-_OFFSET = re.compile(rb"[^0]{0,3}\b(?:0x)?(?:0{4}|0{6,8}|0{10,12})(?::|h|\t| ) {0,3}(?=00)")
-"""The offset at the front of a row of a dump: hexdump -C, xxd, Wireshark, tcpdump."""
+_OFFSET = re.compile(rb"[^0]{0,3}\b(?:0x)?(?:0{4}|0{6,8}|0{10,12})(?::|h|\t| | \|) {0,3}(?=00)")
+"""The offset at the front of a row of a dump: hexdump -C, xxd, Wireshark, tcpdump, `0000 | `."""
 
 
 class FoundBytes(NamedTuple):
@@ -126,6 +126,8 @@ NOTATIONS = (
     ),
     # :0103000000025A, a frame of Modbus ASCII as it is
     Notation((b":00000000",), re.compile(rb":(?:00){4,}" + _AFTER), _ascii_frame),
+    # 581#01030400010002, a CAN frame that carries a part of a Modbus frame
+    Notation((b"000#00",), re.compile(rb"(?<=[ 0]000#)(?:00){1,8}" + _AFTER), _digits),
     # 0103000000020BC4, 0x0103000000020BC4
     Notation(
         (b"00000000",),
@@ -145,7 +147,14 @@ _DECIMALS = Notation(
     _decimal,
 )
 """[1, 3, 0, 0, 0, 2, 196, 11]: Python, JavaScript, Go."""
-_SINGLE = re.compile(rb"(?:[:=>\]]\s?|^\s*)(00)(?:\s{3,}\S{1,3})?\s*$")
+_BARE_DECIMALS = Notation(
+    (b"0, 0", b"0-0"),
+    re.compile(rb"(?<=[:>-] )0{1,3}(?:(?:, 0{1,3}){3,}|(?:-0{1,3}){3,})(?=\s*$)"),
+    _decimal,
+)
+"""TX: 1, 3, 0, 22, 0, 2, 37, 207 and -> 1-3-0-22-0-2-37-207 at the end of a line: NModbus,
+modbus-tk."""
+_SINGLE = re.compile(rb"(?:[:=>\]]\s{0,2}|^\s*)(00)(?:\s{3,}\S{1,3})?\s*$")
 """A single byte at the end of a line, as programs write that log each byte; or in a row of its own,
 with its character behind it."""
 _QUOTED = re.compile(rb"\"((?:[^\"\\]|\\.)*)\"|'((?:[^'\\]|\\.)*)'")
@@ -181,7 +190,7 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
             chosen.append(FoundBytes(*single.span(1), _digits))
     if b"\\" in line or b'(0, "' in shape:
         chosen += _quoted(line, skip_to)
-    chosen += _found(_DECIMALS, shape, skip_to)
+    chosen += _found(_DECIMALS, shape, skip_to) + _found(_BARE_DECIMALS, shape, skip_to)
     return sorted(chosen, key=lambda one: one.start)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.moments import DAY_NS
 from mbtool.modbus import Outcome
 from mbtool.troubles.failure_limits import ENOUGH, is_grave, time_of_failures
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 _SHORTEST_NS = 2_000_000_000
 """No time of failures is told of a unit that was heard for less than this (ns), as times have
 whole seconds."""
-_DAY_NS = 86_400_000_000_000
 
 
 class FailedShare(NamedTuple):
@@ -94,4 +94,4 @@ def _share(
 
 
 def _is_long(times: UnitAccount) -> bool:
-    return times.last_ns - times.first_ns >= _DAY_NS
+    return times.last_ns - times.first_ns >= DAY_NS

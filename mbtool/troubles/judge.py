@@ -50,7 +50,8 @@ JOINED = 3
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
-"""A trouble explains another one of the same unit if it has at least this share of its cases."""
+"""A trouble of a unit, or a small one, explains another one if it has at least this share of its
+cases."""
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
@@ -132,11 +133,11 @@ class Judge:
         ended."""
         self._context = context or CaptureContext()
         self._cases = FailedCases()
-        self._senses = (
-            self._cases,
-            *line_senses(self._context),
-            *network_senses(self._context),
-        )
+        of_lines, of_networks = line_senses(self._context), network_senses(self._context)
+        self._of_lines = (self._cases, *of_lines)
+        """The senses that take the transactions of serial lines."""
+        self._of_networks = (self._cases, *of_networks)
+        self._senses = (*self._of_lines, *of_networks)
         self._checker: Checker | None = None
         """The rules, with what they remember of the present capture; None outside of a capture."""
 
@@ -175,7 +176,7 @@ class Judge:
             for sense in self._senses:
                 sense.event(record)
         else:
-            for sense in self._senses:
+            for sense in self._of_lines if record.transport.is_serial else self._of_networks:
                 sense.transaction(record)
 
     def count_run(self, run: AnsweredRun) -> None:
@@ -191,7 +192,9 @@ class Judge:
         assert self._checker is not None
         return self._checker.feed(record)
 
-    def check_rows(self, rows: Q) -> Iterator[tuple[NamedTransaction | Q, Iterator[Finding]]]:
+    def check_rows(
+        self, rows: Q
+    ) -> Iterator[tuple[NamedTransaction | WireEvent | Q, Iterator[Finding]]]:
         """Check many answered reads; as Checker.feed_rows."""
         if self._checker is None:
             self.begin_capture()
@@ -259,8 +262,9 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
     if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
-        return True
-    is_of_unit = other.unit is None or other.unit == cause.unit
+        return not cause.is_small or cause.count >= MOSTLY * other.count
+    is_of_line = other.unit is None or other.words.noun == "line"
+    is_of_unit = is_of_line or other.unit == cause.unit
     return is_of_unit and cause.count >= MOSTLY * other.count
 
 

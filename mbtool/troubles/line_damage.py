@@ -15,12 +15,14 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   without an answer usually wait for: no master does that. Or the decoder says
 #                   so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one master can
 #                   keep two lists.
-# LINE-SAME-UNIT    Two slaves answer one request. The unit's answers are damaged and most have
-#                   another length than asked for, longer ones among them, while other units answer
-#                   well; or nearly all of its answers are damaged, from their first bytes on or
-#                   with many different lengths, though it understands each request, which it could
-#                   not with a bad cable; or a second, whole response of the same form follows the
-#                   first with other bytes, and nothing that can be a damaged request is between.
+# LINE-SAME-UNIT    Two slaves answer one request. Nearly all damage of the line is in the unit's
+#                   answers or right behind them, at most of its answers, while other units answer
+#                   well; and there are more bytes than asked for, which neither noise nor lost
+#                   bytes make. Or nearly all of its answers are damaged, from their first bytes on
+#                   or with many different lengths, though it understands each request, which it
+#                   could not with a bad cable; or a second, whole response of the same form follows
+#                   the first with other bytes, and nothing that can be a damaged request to the
+#                   unit is between.
 # LINE-LOST-BYTES   Most damaged frames of a known length are too short.
 # LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
 #                   in the requests, or everywhere.
@@ -40,10 +42,11 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import percent
+from mbtool.core.wording import counted, percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
+from mbtool.troubles.line_late import SHORTEST_TIMEOUT_NS
 from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
@@ -54,6 +57,9 @@ if TYPE_CHECKING:
 
 ENOUGH = 3
 ENOUGH_MERGED = 2
+FEW_MERGED = 0.1
+"""Where two slaves may have one address, two requests in one prove two masters only if they are at
+least this share (0 to 1) of the damage."""
 FEW = 0.01
 """Fewer damaged frames than this share (0 to 1) of the transactions are a note."""
 MOSTLY = 0.8
@@ -63,6 +69,8 @@ WAITS = 1000
 SOON = 0.85
 """A request that comes sooner than this share (0 to 1) of the master's time-out is no give-up."""
 OTHER_LENGTH = 0.5
+EXTRA = 0.25
+"""With two slaves, at least this share (0 to 1) of the damage has more bytes than asked for."""
 LENGTHS = 4
 """Damaged answers of one unit that collide with others have at least so many lengths."""
 ALIKE = 0.6
@@ -73,9 +81,12 @@ SECOND_NS = 200_000_000
 """A second response to one request comes at most so long (ns) after the first."""
 HELD = 32
 KNOWN = 64
+POLLED = 2
+"""A master sends each of its requests at least so often; what comes once may be no request."""
 _HEAD, _TAIL = 4, 4
 _SHORTEST_REQUEST = 8
 _READS = frozenset((1, 2, 3, 4))
+_NOT_IN_TIME = frozenset((Outcome.NO_ANSWER, Outcome.LATE))
 _AROUND_VALUES = 5
 """Bytes of an answer to a read that are no values: unit, function, byte count and CRC."""
 
@@ -94,6 +105,9 @@ class _DamagedUnit:
     """The number of second responses to one request."""
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
+    in_wakes: int = 0
+    """The number of damaged frames after a request to another unit that was not answered in time,
+    and whose late answer may have done it."""
     asked: int = 0
     answered: int = 0
     latency_ns: int = 0
@@ -109,10 +123,12 @@ class _DamagedLine:
     """Events about damaged bytes that are given to nobody yet."""
     odd: int = 0
     """The number of pieces too short for `held` since the last transaction."""
-    requests: OrderedDict[bytes, None] = field(default_factory=OrderedDict)
-    """The last different requests."""
+    requests: OrderedDict[bytes, int] = field(default_factory=OrderedDict)
+    """The last different requests, and how often each came."""
     units: dict[int, _DamagedUnit] = field(default_factory=dict)
     last: NamedTransaction | None = None
+    before: NamedTransaction | None = None
+    """The last transaction with another unit than the last one."""
     in_requests: int = 0
     short_requests: int = 0
     elsewhere: int = 0
@@ -161,7 +177,7 @@ class LineDamage(SortedSense):
         super().begin_capture()
         for line in self._lines.values():
             line.held.clear()
-            line.last = None
+            line.last = line.before = None
             for unit in line.units.values():
                 unit.last = None
 
@@ -185,7 +201,6 @@ class LineDamage(SortedSense):
             self._note_interrupted(line, one)
             self._note_request(line, one)
             unit.asked += 1
-        line.late += one.outcome is Outcome.LATE
         if one.response_ns is not None:
             line.responses.append(one.response_ns)
         if one.outcome is Outcome.UNSOLICITED:
@@ -195,6 +210,8 @@ class LineDamage(SortedSense):
             unit.last = one
             unit.latency_ns += one.latency_ns
         self._give(line)
+        if line.last is not None and line.last.unit != one.unit:
+            line.before = line.last
         line.last, line.odd = one, 0
 
     def _line(self, link: str) -> _DamagedLine | None:
@@ -205,7 +222,7 @@ class LineDamage(SortedSense):
 
     def _note_request(self, line: _DamagedLine, one: NamedTransaction) -> None:
         raw = one.request_raw or b""
-        line.requests[raw] = None
+        line.requests[raw] = line.requests.get(raw, 0) + 1
         line.requests.move_to_end(raw)
         if len(line.requests) > KNOWN:
             line.requests.popitem(last=False)
@@ -215,8 +232,9 @@ class LineDamage(SortedSense):
         raw = event.raw
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
             return
-        first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
-        last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
+        polls = [one for one, count in line.requests.items() if count >= POLLED]
+        first = [one for one in polls if one[:_HEAD] == raw[:_HEAD]]
+        last = [one for one in polls if one[-_TAIL:] == raw[-_TAIL:]]
         if any(one != other for one in first for other in last):
             line.merged += 1
             keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
@@ -227,12 +245,18 @@ class LineDamage(SortedSense):
         if last is None or last.request_ns is None or one.request_ns is None:
             return
         waited_ns = one.request_ns - last.request_ns
-        if last.outcome in (Outcome.NO_ANSWER, Outcome.LATE):
+        is_late, is_given_up = last.outcome is Outcome.LATE, waited_ns >= SHORTEST_TIMEOUT_NS
+        if last.outcome in _NOT_IN_TIME:
             line.waits.append(waited_ns)
-        if last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
+            line.late += is_late and is_given_up
+        else:
+            return
+        if last.unit == one.unit or (is_late and is_given_up):
             return
         if any(last.request_ns < at_ns < one.request_ns for at_ns in line.responses):
             return  # A late answer, which the master took for the one that it waited for.
+        if line.requests.get(last.request_raw or b"", 0) < POLLED:
+            return  # Perhaps an answer that was taken for a request.
         unit = line.unit(last.unit)
         usual_ns = unit.latency_ns // (unit.answered or 1)
         if 0 < waited_ns < usual_ns and not line.held:
@@ -257,9 +281,12 @@ class LineDamage(SortedSense):
                 line.short_requests += len(event.raw) < len(request)
                 keep(line.cases, Evidence.of_event(event))
         unit = line.unit(last.unit)
+        before = line.before
+        if before is not None and before.outcome in _NOT_IN_TIME:
+            unit.in_wakes += bool(answer)
         if last.outcome is not Outcome.NO_ANSWER:
             line.elsewhere += len(answer)
-            unit.after += last.outcome is Outcome.OK
+            unit.after += len(answer) if last.outcome is Outcome.OK else 0
             for event in answer:
                 keep(line.cases, Evidence.of_event(event))
         elif answer:
@@ -270,7 +297,9 @@ class LineDamage(SortedSense):
         frame is not the answer of the request before.
         """
         last = line.last
-        if not (line.held or line.odd) and _is_second(unit.last, one):
+        own = [request for request in line.requests if request[0] == one.unit]
+        may_be_asked = line.odd or any(_request_of(event.raw, own) for event in line.held)
+        if not may_be_asked and _is_second(unit.last, one):
             unit.seconds += 1
             keep(unit.cases, Evidence.of(one, "a second answer to the same request"))
         elif line.held:
@@ -294,22 +323,24 @@ class LineDamage(SortedSense):
 
 
 def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
+    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
-    is_proved = line.is_told or line.merged >= ENOUGH_MERGED
-    if is_proved or collisions >= max(ENOUGH, line.late):
+    merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
+    is_proved = line.is_told or (line.merged >= ENOUGH_MERGED and merged)
+    if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
             sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,
             evidence=tuple(line.masters_cases),
         )  # fmt: skip
         return
-    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     for number in doubles:
         unit = line.units[number]
         count = max(unit.seconds, unit.damaged, unit.after)
         yield Trouble(
             code="LINE-SAME-UNIT", link=link, unit=number, count=count,
             of=max(unit.asked, count), weight=count, victims=tuple(line.units),
+            figures={"how": _how_double(unit)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -337,24 +368,35 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     )
 
 
+def _how_double(unit: _DamagedUnit) -> str:
+    """Say what shows that two slaves answer."""
+    told = []
+    if unit.seconds:
+        told.append(f"{counted(unit.seconds, 'second answer', ',')} with other values")
+    if unit.longer:
+        told.append(f"{unit.longer:,} with more bytes than asked for")
+    if unit.after:
+        told.append(f"{unit.after:,} with damaged bytes right behind")
+    return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
+
+
 def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit."""
     if unit.seconds >= ENOUGH:
         return True
     others = [one for one in line.units.values() if one is not unit and one.answered]
-    if unit.after >= ENOUGH and len(others) > 0:
-        all_after = sum(one.after for one in line.units.values())
-        is_often = unit.after >= OTHER_LENGTH * unit.asked
-        return is_often and unit.after >= MOSTLY * all_after
-    if unit.damaged < ENOUGH or not others:
+    collided = unit.damaged + unit.after + unit.seconds
+    if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):
+        return False
+    if unit.in_wakes >= OTHER_LENGTH * collided:
+        return False
+    if unit.longer + unit.after + unit.seconds >= EXTRA * collided:
+        return True
+    if unit.damaged < MOSTLY * unit.asked:
         return False
     is_other = unit.shorter + unit.longer >= OTHER_LENGTH * unit.damaged
-    is_mostly_damaged = unit.damaged >= OTHER_LENGTH * unit.asked
-    is_alone = unit.damaged >= MOSTLY * line.damaged
-    if unit.damaged >= MOSTLY * unit.asked:
-        is_garbled = unit.garbled >= OTHER_LENGTH * unit.damaged
-        return is_alone and (is_garbled or (is_other and len(unit.lengths) >= LENGTHS))
-    return is_other and unit.longer >= unit.shorter and is_mostly_damaged and is_alone
+    is_garbled = unit.garbled >= OTHER_LENGTH * unit.damaged
+    return is_garbled or (is_other and len(unit.lengths) >= LENGTHS)
 
 
 def _where(line: _DamagedLine) -> tuple[str, int | None]:

@@ -40,6 +40,9 @@ ENOUGH = 3
 """Fewer late answers of a unit than this are no trouble."""
 FEW = 0.01
 """Late answers to a smaller share (0 to 1) of the requests than this are a note."""
+SHORTEST_TIMEOUT_NS = 100_000_000
+"""No master gives a request up sooner (ns); what comes sooner is of another master, or the
+recording lacks the answer."""
 MAX_UNITS = 500
 TIMES = 200
 RECENT = 64
@@ -47,6 +50,9 @@ PACE = 1.1
 """A master that waits for a time-out waits at least this many times as long as for answers."""
 OFTEN = 0.5
 MOSTLY = 0.8
+ITS_OWN = 0.7
+"""A unit's late answers damage frames if at least this share (0 to 1) of the damage is in its
+wakes."""
 NEAR = 0.85
 """Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
 
@@ -217,10 +223,12 @@ def _of_unit(
     is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
     if is_noisy and not _is_waited_for(unit):
         return
+    if unit.waits and median(unit.waits) < SHORTEST_TIMEOUT_NS:
+        return
     if unit.count >= ENOUGH:
         yield _trouble(link, number, unit, tally.requests)
         return
-    if _disturbs(unit, line) and tally.latency.count >= ENOUGH:
+    if _disturbs(unit, line, is_dead=tally.latency.count < ENOUGH):
         wait = _s(median(unit.waits))
         yield Trouble(
             code="LINE-LATE",
@@ -229,7 +237,7 @@ def _of_unit(
             count=max(unit.missing, unit.damage),
             of=tally.requests,
             weight=unit.missing,
-            figures={"latency": f"after more than {wait}", "timeout": wait,
+            figures={"latency": f"more than {wait}", "timeout": wait,
                      "longest": "its longest answer"},
             sureness=Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
@@ -239,6 +247,8 @@ def _of_unit(
         return
     wait_ns = min(unit.waits)
     slowest_ns = tally.latency.percentile(95)
+    if wait_ns < SHORTEST_TIMEOUT_NS:
+        return
     if NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
         yield Trouble(
             code="LINE-LATE",
@@ -248,7 +258,7 @@ def _of_unit(
             of=tally.requests,
             weight=unit.missing,
             figures={
-                "latency": f"after up to {_s(slowest_ns)}",
+                "latency": f"up to {_s(slowest_ns)}",
                 "timeout": _s(wait_ns),
                 "longest": _s(2 * wait_ns),
             },
@@ -278,12 +288,15 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
     keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
 
 
-def _disturbs(unit: _LateUnit, line: _LateLine) -> bool:
-    """True if damage comes in the wakes of a unit, and hardly elsewhere."""
+def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
+    """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
+    answers in time (`is_dead`), most wakes must be damaged.
+    """
+    often = MOSTLY if is_dead else OFTEN
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        unit.damaged_wakes >= max(ENOUGH, OFTEN * unit.wakes)
-        and unit.damage >= MOSTLY * line.damaged
+        unit.damaged_wakes >= max(ENOUGH, often * unit.wakes)
+        and unit.damage >= ITS_OWN * line.damaged
         and unit.wakes_ns <= OFTEN * watched_ns
     )
 
@@ -300,7 +313,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         of=max(requests, count),
         weight=count,
         is_small=count < FEW * requests,
-        figures={"latency": f"after {_s(latency_ns)}", "timeout": waits, "longest": _s(longest_ns)},
+        figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
         evidence=tuple(late.cases),
     )
 

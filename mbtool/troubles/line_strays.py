@@ -2,7 +2,8 @@
 
 # LINE-BIAS      One constant byte (00H, FFH, or another one), alone or twice, stands before or
 #                behind many frames: the idle line floats, or a driver switches too early or late.
-#                It is told of which frames: those that begin or end within NEAR characters of it.
+#                It is told beside which frames. Beside those of all senders, bias is missing;
+#                beside those of one, its driver is switched at a wrong time.
 # LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, beside polls most
 #                of which are answered: another protocol shares the wires.
 # LINE-SETTINGS  For a while there is no frame with a right CRC, but many other bytes; or that is so
@@ -217,9 +218,35 @@ def _bias(link: str, line: _StrayLine) -> Iterator[Trouble]:
     places = [place for place, number in line.places.most_common() if number >= 0.2 * total]
     yield Trouble(
         code="LINE-BIAS", link=link, count=count, of=max(2 * transactions, count),
-        figures={"byte": f"{byte.hex().upper()}H", "places": " and ".join(places) or "between"},
+        figures={
+            "byte": f"{byte.hex().upper()}H", "places": " and ".join(places) or "between frames",
+            **_bias_words(places),
+        },
         sureness=Sureness.LIKELY, evidence=tuple(line.bias_cases),
     )  # fmt: skip
+
+
+def _bias_words(places: Sequence[str]) -> dict[str, str]:
+    """Say why a constant byte stands at these places, and what to do.
+
+    Missing bias shows whenever the line is released, and so beside the frames of all senders; a
+    driver that is switched at a wrong time, beside those of one.
+    """
+    senders = {place.rpartition(" ")[2] for place in places}
+    if len(senders) != 1:
+        return {
+            "why": "the idle line floats, as bias is missing",
+            "remedy": "fit bias resistors at one place of the line, and termination at both ends",
+        }
+    driver = "the master's driver" if senders == {"requests"} else "a slave's driver"
+    times = {place.partition(" ")[0] for place in places}
+    when = {"before": "on too early", "behind": "off too late"}
+    how = " and ".join(when[time] for time in ("before", "behind") if time in times)
+    return {
+        "why": f"{driver} is switched {how}, or the line floats near it",
+        "remedy": f"look at how {driver} is switched (its delays, or RTS of the adapter); if that "
+                  "is right, fit bias resistors there",
+    }  # fmt: skip
 
 
 def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:

@@ -1,28 +1,39 @@
-"""NET-BLOCKED and NET-LATE: requests that wait for another one, or that the master gave up."""
+"""NET-BLOCKED, NET-SHARED and NET-LATE: requests that wait for another one, or that the master gave
+up.
+"""
 
 # NET-BLOCKED  Behind one address are several units: a gateway with a line. While one is slow or
 #              silent there, the requests to the others wait, and fail or are slow, too. A request
 #              to another unit is blocked if it was sent while a slow (SLOW_NS) or unanswered one
 #              waited, and was slow or unanswered as well. The unit that others wait for much more
 #              often than it waits for them is the cause.
+# NET-SHARED   Several masters ask at once, and what they ask serves one request at a time, in their
+#              order: a gateway with one line. A request waits if one of another master was sent
+#              before it and is answered WAIT_NS or more after it was sent; that rest is its wait.
+#              It is shared if requests that wait longer are answered later, by as much: of all that
+#              wait, the latency rises with the wait within each poll (SLOPE), and nearly none
+#              (IN_ORDER) overtakes. A server that works for both at once is as quick as ever.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
 #              SLOW_NS or more after the first one: it had given up. Nearly always it then waited
 #              equally long. Masters that pipeline send requests at any time, and are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
-# often, and none is blamed. A slow network makes all units slow alike.
+# often, and none is blamed. A slow network makes all units slow alike. A PLC that answers all
+# requests at the end of its cycle makes nobody wait for the other (SERVED_NS). What waits for a
+# unit that is much slower than others (SLOWER) does so because of that unit.
 #
-# Memory: KEPT slow requests of each of at most MAX_LINKS links, the last RECENT requests and some
-# numbers of each of at most MAX_LINKS connections, and MAX_EVIDENCE cases for each unit.
+# Memory: KEPT slow requests, and KEPT requests that may wait, of each of at most MAX_LINKS links;
+# the last RECENT requests and some numbers of each of at most MAX_LINKS connections; MAX_EVIDENCE
+# cases for each unit.
 
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
-from statistics import median
+from statistics import median, median_low
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import duration
+from mbtool.core.wording import duration, host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
@@ -30,7 +41,7 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
@@ -45,6 +56,17 @@ MORE = 2
 MOSTLY = 0.5
 EVEN = 0.15
 """A master's waits for late answers differ by at most this share (0 to 1)."""
+WAIT_NS = 40_000_000
+ENOUGH_WAITS = 20
+OFTEN = 0.1
+"""Masters wait for each other if at least this share (0 to 1) of their requests does."""
+SLOPE = (0.6, 1.5)
+"""By how much (ns) the latency rises for each ns of waiting, if the wait is its cause."""
+IN_ORDER = 0.9
+SERVED_NS = 5_000_000
+"""A request that has its turn takes at least so long (ns) in the mean."""
+SLOWER = 2.5
+"""A unit that takes at least this many times as long as others holds the line up by itself."""
 KEPT = 5000
 RECENT = 8
 OF_TIMEOUT = 0.8
@@ -61,6 +83,43 @@ class _Slow(NamedTuple):
     evidence: Evidence
 
 
+class _SlowRequest(NamedTuple):
+    """A request that was answered after WAIT_NS or more; times in ns."""
+
+    begin_ns: int
+    end_ns: int
+    master: str
+    unit: int
+    address: int | None
+
+
+class _SharedWait(NamedTuple):
+    """A request that waited for the one of another master before it."""
+
+    of: _SlowRequest
+    before: _SlowRequest
+
+    @property
+    def wait_ns(self) -> int:
+        return self.before.end_ns - self.of.begin_ns
+
+    @property
+    def served_ns(self) -> int:
+        """How long it took from its turn on."""
+        return self.of.end_ns - self.before.end_ns
+
+
+@dataclass(slots=True)
+class _SharedLink:
+    """The requests of several masters to one link."""
+
+    first: str
+    """The master that was heard first."""
+    masters: set[str] = field(default_factory=set)
+    """All masters, once there are two."""
+    waiting: deque[_SlowRequest] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+
 @dataclass(slots=True)
 class _MasterTalk:
     recent: deque[tuple[int, NamedTransaction]] = field(
@@ -75,10 +134,11 @@ class _MasterTalk:
 
 
 class Gateways(Sense):
-    """Finds NET-BLOCKED and NET-LATE."""
+    """Finds NET-BLOCKED, NET-SHARED and NET-LATE."""
 
     def __init__(self) -> None:
         self._slow: dict[str, deque[_Slow]] = {}
+        self._shared: dict[str, _SharedLink] = {}
         self._connections: OrderedDict[tuple[str, str | None], _MasterTalk] = OrderedDict()
         self._late: dict[tuple[str, int], list[tuple[Evidence, int, int]]] = {}
         """By link and unit: cases, with the latency and how long the master waited (ns)."""
@@ -94,17 +154,46 @@ class Gateways(Sense):
         if is_failed or (latency_ns is not None and latency_ns >= SLOW_NS):
             end_ns = one.response_ns or one.request_ns + UNANSWERED_NS
             self._keep(one.link, _Slow(one.request_ns, end_ns, one.unit, Evidence.of(one)))
+        shared = self._shared_by(one)
+        if shared is not None and latency_ns is not None and latency_ns >= WAIT_NS:
+            end_ns = one.request_ns + latency_ns
+            shared.waiting.append(
+                _SlowRequest(one.request_ns, end_ns, host_of(one.source), one.unit, one.address)
+            )
         self._note_overlap(one)
 
     def run(self, run: AnsweredRun) -> None:
         for kind in run.kinds:
-            if max(kind.latencies) < SLOW_NS:
+            like, longest_ns = kind.like, max(kind.latencies)
+            shared = self._shared_by(like)
+            if shared is not None and longest_ns >= WAIT_NS:
+                master = host_of(like.source)
+                shared.waiting += (
+                    _SlowRequest(at_ns, at_ns + latency_ns, master, like.unit, like.address)
+                    for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True)
+                    if latency_ns >= WAIT_NS
+                )
+            if longest_ns < SLOW_NS:
                 continue
-            like = kind.like
-            for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True):
+            each = zip(kind.request_ns, kind.latencies, strict=True)
+            for index, (at_ns, latency_ns) in enumerate(each):
                 if latency_ns >= SLOW_NS:
-                    evidence = Evidence(ts_ns=at_ns, file=like.file)
+                    evidence = Evidence(ts_ns=at_ns, file=like.file, packets=kind.packets(index))
                     self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
+
+    def _shared_by(self, one: NamedTransaction) -> _SharedLink | None:
+        """Return the requests of the link of a transaction if it has several masters."""
+        shared = self._shared.get(one.link)
+        if shared is None:
+            if len(self._shared) < MAX_LINKS:
+                self._shared[one.link] = _SharedLink(host_of(one.source))
+            return None
+        host = host_of(one.source)
+        if not shared.masters and host == shared.first:
+            return None
+        if len(shared.masters) < RECENT:
+            shared.masters |= {shared.first, host}
+        return shared
 
     def _keep(self, link: str, slow: _Slow) -> None:
         kept = self._slow.get(link)
@@ -146,6 +235,10 @@ class Gateways(Sense):
         for link, slow in self._slow.items():
             if link in whole:
                 yield from _blocked(link, slow)
+        for of_link in links:
+            shared = self._shared.get(of_link.name)
+            if of_link.is_whole and shared is not None and shared.waiting:
+                yield from _of_shared(of_link, shared)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
             cases = _of_one_timeout(connection.late)
@@ -183,6 +276,83 @@ def _late(
         sureness=Sureness.LIKELY,
         evidence=tuple(Evidence.of(one) for one, _ in cases),
     )  # fmt: skip
+
+
+def _of_shared(link: LinkReport, shared: _SharedLink) -> Iterator[Trouble]:
+    """Yield the trouble that masters wait for each other, if they do."""
+    waits, overtakes = _waits_of(shared.waiting)
+    holders = _slower_units(shared.waiting, waits)
+    waits = [one for one in waits if one.before.unit not in holders]
+    number, asked = len(waits), link.tally.requests
+    if number < max(ENOUGH_WAITS, OFTEN * asked) or overtakes > (1 - IN_ORDER) * number:
+        return
+    groups: dict[tuple[str, int, int | None], list[_SharedWait]] = {}
+    for one in waits:
+        groups.setdefault((one.of.master, one.of.unit, one.of.address), []).append(one)
+    if median(one.served_ns for one in waits) < SERVED_NS:
+        return
+    if not SLOPE[0] <= _slope([*groups.values()]) <= SLOPE[1]:
+        return
+    masters = sorted(shared.masters)
+    yield Trouble(
+        code="NET-SHARED", link=link.name, count=number, of=max(asked, number), weight=number,
+        figures={
+            "masters": " and ".join(masters) if len(masters) == 2 else f"{len(masters)} masters",
+            "wait": duration(median(one.wait_ns for one in waits)),
+        },
+        sureness=Sureness.LIKELY,
+        evidence=tuple(
+            Evidence(ts_ns=one.of.begin_ns, text=f"waited for {duration(one.wait_ns)}")
+            for one in waits[:MAX_EVIDENCE]
+        ),
+    )  # fmt: skip
+
+
+def _waits_of(requests: Iterable[_SlowRequest]) -> tuple[list[_SharedWait], int]:
+    """Return the requests that wait for one of another master, and how many of them overtake it."""
+    waits, overtakes = [], 0
+    open_: list[_SlowRequest] = []
+    for one in sorted(requests):
+        open_ = [each for each in open_ if each.end_ns > one.begin_ns + WAIT_NS]
+        before = max(
+            (each for each in open_ if each.master != one.master),
+            key=lambda each: each.end_ns, default=None,
+        )  # fmt: skip
+        if before is not None:
+            overtakes += one.end_ns < before.end_ns
+            waits.append(_SharedWait(one, before))
+        open_.append(one)
+    return waits, overtakes
+
+
+def _slower_units(requests: Iterable[_SlowRequest], waits: Sequence[_SharedWait]) -> set[int]:
+    """Return the units that take SLOWER times as long as others when they have their turn."""
+    served: dict[int, list[int]] = {}
+    for one in waits:
+        served.setdefault(one.of.unit, []).append(one.served_ns)
+    waiting = {one.of for one in waits}
+    for each in requests:
+        if each not in waiting:
+            served.setdefault(each.unit, []).append(each.end_ns - each.begin_ns)
+    usual = {unit: median(times) for unit, times in served.items()}
+    return {
+        unit
+        for unit, time in usual.items()
+        if (others := [other for number, other in usual.items() if number != unit])
+        and time >= SLOWER * median_low(others)
+    }
+
+
+def _slope(groups: Sequence[Sequence[_SharedWait]]) -> float:
+    """Return by how much the latency rises with the wait within groups; 0 if no wait differs from
+    the others of its group.
+    """
+    squares = products = 0.0
+    for some in groups:
+        mean = sum(one.wait_ns for one in some) / len(some)
+        squares += sum((one.wait_ns - mean) ** 2 for one in some)
+        products += sum((one.wait_ns - mean) * (one.wait_ns + one.served_ns) for one in some)
+    return products / squares if squares else 0.0
 
 
 def _blocked(link: str, slow: Sequence[_Slow]) -> Iterator[Trouble]:

@@ -1,11 +1,12 @@
 """NET-TWO-MACS and NET-ROLE: hosts that are not what they were."""
 
-# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times, and talks with a host of its
-#               own network (the first three numbers of the IPv4 address): somebody answers for it
-#               (ARP spoofing), or two devices have its address. Hosts of other networks have the
-#               MAC address of a router, and a capture on both sides of one has both; the shared
-#               addresses of router pairs (VRRP, HSRP) and a device that was replaced (all of the
-#               one, then all of the other, and no third host has the new one) are no such case.
+# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times (in packets from it or to it),
+#               and talks with a host of its own network (the first three numbers of the IPv4
+#               address): somebody answers for it (ARP spoofing), or two devices have its address.
+#               Hosts of other networks have the MAC address of a router, and a capture on both
+#               sides of one has both; the shared addresses of router pairs (VRRP, HSRP) and a
+#               device that was replaced (all of the one, then all of the other, and no third host
+#               has the new one) are no such case.
 # NET-ROLE      A host that answered as a slave sends requests itself, LATER_NS after it was first
 #               heard as a slave or later. Concentrators do both from the beginning.
 #
@@ -16,6 +17,7 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import host_of
@@ -75,12 +77,22 @@ class Hosts(Sense):
 
     def run(self, run: AnsweredRun) -> None:
         for kind in run.kinds:
-            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns)
+            first = Evidence(ts_ns=kind.request_ns[0], file=kind.like.file, packets=kind.packets(0))
+            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns, first)
 
-    def _note(self, one: NamedTransaction, count: int, begin_ns: int, end_ns: int) -> None:
+    def _note(
+        self,
+        one: NamedTransaction,
+        count: int,
+        begin_ns: int,
+        end_ns: int,
+        evidence: Evidence | None = None,
+    ) -> None:
         master, slave = host_of(one.source), host_of(one.destination)
         is_local = _network(master) is not None and _network(master) == _network(slave)
-        ends = ((master, one.source_mac, True), (slave, one.destination_mac, False))
+        ends = [(master, one.source_mac, True), (slave, one.destination_mac, False)]
+        if one.response_mac is not None:
+            ends.append((slave, one.response_mac, False))
         for name, mac, is_master in ends:
             host = self._hosts.get(name)
             if host is None:
@@ -95,7 +107,7 @@ class Hosts(Sense):
                 host.requests += count
                 host.asked = host.asked or one.link
                 if len(host.cases) < MAX_EVIDENCE:
-                    host.cases.append(Evidence.of(one))
+                    host.cases.append(evidence or Evidence.of(one))
             elif not is_master and one.outcome in _ANSWERED:
                 host.slave_ns = min(begin_ns, host.slave_ns or begin_ns)
                 host.link = host.link or one.link
@@ -153,6 +165,7 @@ def _was_replaced(macs: dict[str, _Mac], owners: dict[str, set[str]]) -> bool:
     return follow and len(owners[in_order[-1][0]]) == 1
 
 
+@lru_cache(maxsize=MAX_HOSTS)
 def _network(host: str) -> str | None:
     match = _IN_A_NETWORK.fullmatch(host)
     return None if match is None else match[1]

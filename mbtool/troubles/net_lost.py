@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
@@ -85,14 +86,19 @@ class LostConnections(Sense):
     def event(self, event: WireEvent) -> None:
         is_refused = event.kind is EventKind.REFUSED
         if event.kind is EventKind.OPENED:
-            self._note_opened(event)
+            self._note_opened(event.link, host_of(event.source), event.ts_ns)
         elif is_refused or (event.kind is EventKind.CLOSED and event.message.startswith(_ENDS)):
             self._note_lost(event)
 
-    def _note_opened(self, event: WireEvent) -> None:
-        master = self._masters.get((event.link, host_of(event.source)))
+    def run(self, run: AnsweredRun) -> None:
+        for one in run.connections:
+            if one.first_opened_ns is not None:
+                self._note_opened(one.link, one.host, one.first_opened_ns)
+
+    def _note_opened(self, link: str, host: str, at_ns: int) -> None:
+        master = self._masters.get((link, host))
         if master is not None and master.lost_ns is not None:
-            master.pause_ns += event.ts_ns - master.lost_ns
+            master.pause_ns += at_ns - master.lost_ns
             master.lost_ns = None
 
     def _note_lost(self, event: WireEvent) -> None:

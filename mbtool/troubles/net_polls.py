@@ -3,28 +3,34 @@
 # NET-ONE-SIDE     Nothing of a slave is answered, and of most transactions the capture lacks one
 #                  half, always the same: only one direction of the packets was recorded. A mirror
 #                  port that loses packets lacks now this, now that half.
-# NET-DELAYED-ACK  A poll takes nearly always the time of a delayed acknowledgement (40 or 200 ms,
-#                  as Linux and Windows use them), while other polls of the same slave are quick: a
-#                  sender waits with the second part of a message until the first is acknowledged.
-#                  A slave whose polls all take that long may just need it, and nothing is said.
+# NET-DELAYED-ACK  A sender waits with the second part of a message until the first is acknowledged,
+#                  and the receiver delays that (40 or 200 ms, as Linux and Windows do). Either the
+#                  two parts are seen, nearly always that long after each other; or a poll takes
+#                  nearly always that long, while other polls of the same slave are quick. A slave
+#                  whose polls all take that long may just need it, and nothing is said.
 #
-# Memory: a number for each of at most MAX_LINKS links; the account has the rest.
+# Memory: numbers, MAX_EVIDENCE cases and TIMES times for each of at most MAX_LINKS senders of
+# messages in parts; the account has the rest.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.core.wording import counted, in_ms
-from mbtool.modbus import RESPONDED, Outcome
+from mbtool.core.wording import counted, host_of, in_ms
+from mbtool.framing.mbap import PARTS_NS
+from mbtool.modbus import RESPONDED, Outcome, Transport
 from mbtool.troubles.sense import MAX_LINKS, Sense
-from mbtool.troubles.trouble import Sureness, Trouble
+from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.core import WireEvent
+    from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport
 
@@ -32,10 +38,23 @@ ENOUGH = 10
 MOSTLY = 0.8
 FEW_CUT = 0.1
 """A capture that lacks parts of packets more often than this (0 to 1) lacks no whole direction."""
-TIMERS_NS = ((38_000_000, 46_000_000), (185_000_000, 225_000_000))
-"""The least and the greatest latency (ns) by which a delayed acknowledgement is recognised."""
+TIMERS_NS = ((36_000_000, 46_000_000), (185_000_000, 225_000_000))
+"""The least and the greatest time (ns) by which a delayed acknowledgement is recognised."""
+TIMES = 200
 QUICK_NS = 20_000_000
 _CUT = frozenset((EventKind.CUT, EventKind.GAP, EventKind.SKIPPED))
+
+
+@dataclass(slots=True)
+class _Parts:
+    """The messages of one sender whose last byte came much later than the first."""
+
+    count: int = 0
+    delayed: int = 0
+    """The number of those between whose parts was the time of a delayed acknowledgement."""
+    times: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
+    """The times (ns) between their parts."""
+    cases: list[Evidence] = field(default_factory=list)
 
 
 class NetworkPolls(Sense):
@@ -44,6 +63,29 @@ class NetworkPolls(Sense):
     def __init__(self) -> None:
         self._cut: Counter[str] = Counter()
         """By link, the number of events about missing bytes."""
+        self._parts: dict[tuple[str, str | int], _Parts] = {}
+        """By link, and by the master's host for requests, by the unit for answers."""
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if one.transport is not Transport.TCP or one.request_ns is None:
+            return
+        if one.request_parts_ns is not None:
+            self._note_parts(one.link, host_of(one.source), one.request_parts_ns, one)
+        if one.response_ns is not None and one.latency_ns is not None:
+            parts_ns = one.response_ns - one.request_ns - one.latency_ns
+            if parts_ns > PARTS_NS:
+                self._note_parts(one.link, one.unit, parts_ns, one)
+
+    def _note_parts(self, link: str, who: str | int, ns: int, one: NamedTransaction) -> None:
+        parts = self._parts.get((link, who))
+        if parts is None:
+            if len(self._parts) >= MAX_LINKS:
+                return
+            parts = self._parts[link, who] = _Parts()
+        parts.count += 1
+        parts.delayed += any(least <= ns <= most for least, most in TIMERS_NS)
+        parts.times.append(ns)
+        keep(parts.cases, Evidence.of(one, f"its second part after {in_ms(ns)} ms"))
 
     def event(self, event: WireEvent) -> None:
         if event.kind in _CUT and (event.link in self._cut or len(self._cut) < MAX_LINKS):
@@ -54,7 +96,29 @@ class NetworkPolls(Sense):
             if not link.is_serial and link.is_whole:
                 if self._cut[link.name] <= FEW_CUT * link.tally.transactions:
                     yield from _one_side(link)
-                yield from _delayed(link)
+                found = [*self._in_parts(link)]
+                yield from found
+                told = {one.unit for one in found}
+                yield from (one for one in _delayed(link) if one.unit not in told)
+
+    def _in_parts(self, link: LinkReport) -> Iterator[Trouble]:
+        for (name, who), parts in self._parts.items():
+            if name != link.name or parts.delayed < max(ENOUGH, MOSTLY * parts.count):
+                continue
+            unit = who if isinstance(who, int) else None
+            tallies = [one.tally for one in link.functions if unit in (None, one.unit)]
+            messages = "requests" if unit is None else "answers"
+            yield Trouble(
+                code="NET-DELAYED-ACK", link=link.name, unit=unit,
+                master=who if isinstance(who, str) else "", count=parts.count,
+                of=max(parts.count, sum(one.requests for one in tallies)), weight=parts.count,
+                figures={
+                    "messages": f"{parts.count:,} {messages}",
+                    "how": "come in two segments, the second "
+                           f"{in_ms(median(parts.times))} ms after the first",
+                },
+                sureness=Sureness.LIKELY, evidence=tuple(parts.cases),
+            )  # fmt: skip
 
 
 def _one_side(link: LinkReport) -> Iterator[Trouble]:
@@ -88,7 +152,9 @@ def _delayed(link: LinkReport) -> Iterator[Trouble]:
             code="NET-DELAYED-ACK", link=link.name, unit=unit, count=count,
             of=sum(poll.tally.latency.count for poll in polls), weight=count,
             figures={
-                "polls": counted(len(slow), "poll"), "latency": f"{in_ms(_median(slow[0]))} ms",
+                "messages": counted(len(slow), "poll"),
+                "how": f"{'takes' if len(slow) == 1 else 'take'} {in_ms(_median(slow[0]))} ms each "
+                       "time, others are quick",
             },
             sureness=Sureness.LIKELY,
         )  # fmt: skip

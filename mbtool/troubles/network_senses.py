@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.troubles.net_gateway import Gateways
 from mbtool.troubles.net_hosts import Hosts
+from mbtool.troubles.net_lossy import LossyPaths
 from mbtool.troubles.net_lost import LostConnections
 from mbtool.troubles.net_polls import NetworkPolls
 
@@ -17,4 +18,4 @@ if TYPE_CHECKING:
 def network_senses(context: CaptureContext) -> list[Sense]:
     """Return a sense of each kind; `context` has facts about the present capture."""
     del context
-    return [NetworkPolls(), Gateways(), LostConnections(), Hosts()]
+    return [NetworkPolls(), Gateways(), LostConnections(), LossyPaths(), Hosts()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from mbtool.core.moments import DAY_NS
 from mbtool.troubles.slow_units import ENOUGH_ANSWERS, slow_units
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ this many times that in the first half, and at least SLOWER_NS more."""
 SLOWER_NS = 10_000_000
 _ENOUGH_BINS = 8
 """A unit with answers in fewer bins than this is never said to have become slower."""
-_DAY_NS = 86_400_000_000_000
 
 
 class Slower(NamedTuple):
@@ -83,7 +83,7 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     since_ns = since[0].end_ns - slow_ns(since[0])
     if bins[first - 1].end_ns == since[0].begin_ns == since_ns:
         since_ns -= slow_ns(bins[first - 1])
-    is_long = bins[-1].end_ns - bins[0].begin_ns >= _DAY_NS
+    is_long = bins[-1].end_ns - bins[0].begin_ns >= DAY_NS
     # The unit may have become slower within the bin before the first slow one, and later bins may
     # have single late answers.
     before = bins[: max(min(first - 1, half), 1)]

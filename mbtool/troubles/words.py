@@ -68,7 +68,7 @@ _ROWS = (
     ),
     Words(
         "LINE-SAME-UNIT", _E,
-        "two slaves answer as {who}: {count} of {of} answers collide or come twice",
+        "two slaves answer as {who}: {count} of {of} answers collide or come twice ({how})",
         "give one of them another address; to find it, take them off the line one by one",
         "unit", "two slaves with this address",
         ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", *_BLAMED,
@@ -76,8 +76,8 @@ _ROWS = (
     ),
     Words(
         "LINE-LATE", _E,
-        "{who} answers {latency}, the master waits {timeout}: {count} of {of} answers come too "
-        "late",
+        "{who} answers {latency} after the request, the master waits {timeout}: {count} of {of} "
+        "answers come too late",
         "raise the master's time-out above {longest}, or ask for less in one request",
         "unit", "{count} answers after the time-out",
         ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
@@ -100,10 +100,8 @@ _ROWS = (
     ),
     Words(
         "LINE-BIAS", _W,
-        "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: the idle line "
-        "floats, or a driver switches too early or late",
-        "fit bias resistors at one place and termination at both ends of the line; if it is beside "
-        "frames of one sender only, look at how its driver is switched",
+        "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: {why}",
+        "{remedy}",
         "line", "stray {byte}",
         ("RTU-202", "RTU-103", "RTU-104", "LINE-NOISE", "LINE-LOST-BYTES"),
     ),
@@ -159,6 +157,14 @@ _ROWS = (
         "unit", "holds up the line", ("UNIT-MISSING", "UNIT-SLOW", "POLL-LATE", "MB-401", "MB-402"),
     ),
     Words(
+        "NET-SHARED", _W,
+        "{masters} ask {link} at once, and it serves one request at a time: {count} of {of} "
+        "requests wait for {wait} behind those of another master",
+        "let one master poll for the others, or poll more rarely: behind a gateway is one line, "
+        "which all masters share",
+        "link", "masters wait for each other", ("POLL-LATE", "UNIT-SLOW", "NET-DELAYED-ACK"),
+    ),
+    Words(
         "NET-ROLE", _W,
         "{who}, which answered as a slave, sends requests itself to {asked}",
         "find out if that is meant; a device that was taken over does so, too",
@@ -166,11 +172,18 @@ _ROWS = (
     ),
     Words(
         "NET-DELAYED-ACK", _N,
-        "{polls} of {who} take {latency} each time, others are quick: a sender waits for a delayed "
-        "acknowledgement",
+        "{messages} of {who} {how}: a sender waits for a delayed acknowledgement",
         "let master or slave send each message in one piece, or switch off Nagle's algorithm "
         "(TCP_NODELAY)",
-        "unit", "delayed acknowledgements", ("POLL-LATE", "UNIT-SLOW"),
+        "sender", "delayed acknowledgements", ("POLL-LATE", "UNIT-SLOW"),
+    ),
+    Words(
+        "NET-LOSSY", _W,
+        "{count} of {of} messages between {who} and {link} are sent again: packets are "
+        "lost on the way, or acknowledged too late",
+        "look at cables, radio links and the counters of errors of each switch port on the way "
+        "(a wrong duplex mode loses packets under load, too)",
+        "link", "{count} messages sent again", ("POLL-LATE",),
     ),
     Words(
         "NET-LOST", _W,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS
+from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 from mbtool.values.values import SeriesKey
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 MAX_CHOSEN = 64
 MAX_SAMPLES = 20_000
-_MASK_WRITE = 0x16
 
 
 class NamedAddresses(NamedTuple):
@@ -79,7 +79,7 @@ class ChosenValues:
             return
         only_writes = function.writes and one.write_address is None
         values = one.request_values if only_writes else one.response_values
-        if values is None or one.address is None or one.function == _MASK_WRITE:
+        if values is None or one.address is None or one.function == MASK_WRITE_REGISTER:
             return
         at_ns = one.response_ns or one.start_ns
         covered = self._add_points(one, at_ns)

@@ -12,11 +12,12 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from mbtool.devices.references import write_reference
 from mbtool.ledger.answered_reads import ValueChanges
 from mbtool.modbus import FUNCTIONS
+from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ MAX_OF_POLL = 64
 MAX_POLLS = 2048
 MAX_LEFT_OUT = 65_536
 """The names of so many points and registers take 13 MB."""
-_MASK_WRITE = 0x16
 
 
 class SeriesKey(NamedTuple):
@@ -41,6 +41,15 @@ class SeriesKey(NamedTuple):
     unit: int
     name: str
     """The name of the point; for a register, its reference, such as `holding 12`."""
+
+
+class RequestedSpan(NamedTuple):
+    """The addresses that a request reads or writes."""
+
+    link: str
+    unit: int
+    table: Table
+    span: range
 
 
 class _FollowedPoll:
@@ -76,13 +85,27 @@ class Values:
         """
         return len(self._left_out - self.series.keys())
 
+    @property
+    def requests(self) -> list[RequestedSpan]:
+        """The ranges that requests have read or written."""
+        spans = []
+        for link, unit, code, address, quantity, _ in self._polls:
+            function = FUNCTIONS.get(cast("int", code))
+            if function is not None and function.table is not None and address is not None:
+                first = cast("int", address)
+                span = range(first, first + max(cast("int", quantity or 1), 1))
+                spans.append(
+                    RequestedSpan(cast("str", link), cast("int", unit), function.table, span)
+                )
+        return spans
+
     def add(self, one: NamedTransaction) -> None:
         function = FUNCTIONS.get(one.function)
         if function is None or function.table is None or not one.took_effect:
             return
         only_writes = function.writes and one.write_address is None
         values = one.request_values if only_writes else one.response_values
-        if values is None or one.function == _MASK_WRITE:
+        if values is None or one.function == MASK_WRITE_REGISTER:
             return
         key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
         poll = self._poll(key)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.devices import describe_points, describe_written, finding_text
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, exception_name, short_name, whole_pdu
+from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 from mbtool.views.changed_points import is_number
 
 if TYPE_CHECKING:
@@ -45,12 +46,11 @@ _SHORT_EXCEPTIONS = {
 address, illegal data value, server device failure, server device busy, gateway path unavailable,
 gateway target failed to respond."""
 
-_MASK_WRITE, _READ_WRITE = 0x16, 0x17
 _VERBS = {
     code: "write" if one.writes else "read"
     for code, one in FUNCTIONS.items()
     if one.table is not None
-} | {_MASK_WRITE: "mask write", _READ_WRITE: "read"}
+} | {MASK_WRITE_REGISTER: "mask write", READ_WRITE_REGISTERS: "read"}
 """By function code: the word that a cell shows before the reference, such as `read`."""
 
 

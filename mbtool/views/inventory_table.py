@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from mbtool.core.wording import counted
-from mbtool.devices.model import READ_AND_WRITE
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,
@@ -29,6 +28,7 @@ from mbtool.ledger.inventory_ranges import (
 )
 from mbtool.ledger.inventory_rows import Role, iso_time
 from mbtool.modbus import FUNCTIONS, Transport, exception_name
+from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
     """
     first = several[0]
     label = function_label(first.function, first.name)
-    if first.function == READ_AND_WRITE:
+    if first.function == READ_WRITE_REGISTERS:
         label += " (writes)" if first.writes else " (reads)"
     parts = [f"{label} {_addresses(first.ranges, first.references, most)}".rstrip()]
     if first.refused:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.moments import DAY_NS, SECOND_NS
 from mbtool.core.wording import clock_time, day
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 LEAST_ROWS, MOST_ROWS = 3, 12
 _MOST_LABEL = 16
-_SECOND_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _BANDS = {True: ("▁", "█", "▄"), False: ("_", "#", "+")}
 """The characters for a bit that is 0, is 1, or is both within a column; the key is True for
 Unicode."""
@@ -175,11 +175,11 @@ def _time_axis(begin_ns: int, end_ns: int, width: int) -> str:
 
     Times are given in ns since 1970, and written in UTC. `width` is in characters.
     """
-    exact = 12 if end_ns - begin_ns < 100 * _SECOND_NS else 8
+    exact = 12 if end_ns - begin_ns < 100 * SECOND_NS else 8
 
     def text(ns: int) -> str:
         time = clock_time(ns)[:exact]
-        return f"{day(ns)} {time}" if end_ns - begin_ns >= _DAY_NS else time
+        return f"{day(ns)} {time}" if end_ns - begin_ns >= DAY_NS else time
 
     first, last = f"{day(begin_ns)} {clock_time(begin_ns)[:exact]}", f"{text(end_ns)} UTC"
     middle = text((begin_ns + end_ns) // 2)

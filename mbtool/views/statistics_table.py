@@ -28,7 +28,7 @@ from mbtool.views.statistics_summary import summary_lines
 from mbtool.views.statistics_words import counted, per_second, poll_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import FunctionReport, LinkReport, PollReport
@@ -53,7 +53,10 @@ _LATENCY = (
     StatisticsColumn("p99", 5, 3),
     StatisticsColumn("max", 5, 2),
 )
-_FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5), StatisticsColumn("n/cap", 5, 4))
+_FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5))
+_NOT_CAPTURED = StatisticsColumn("n/cap", 5, 4)
+_OF_MISSING = (StatisticsColumn("late", 5, 5), StatisticsColumn("crc", 5, 5))
+"""How many of the missing answers came late, and how many with a wrong CRC or LRC."""
 _COUNTS = (StatisticsColumn("asked", 8), StatisticsColumn("/s", 6))
 _POLLS = (
     StatisticsColumn("asked", 7),
@@ -62,8 +65,8 @@ _POLLS = (
     *_LATENCY,
     StatisticsColumn("exc", 4),
     StatisticsColumn("miss", 4),
-    StatisticsColumn("line", 6, 4),
 )
+_LINE = StatisticsColumn("line", 6, 4)
 _CONNECTIONS = (
     StatisticsColumn("opened", 7),
     StatisticsColumn("joined", 6, 2),
@@ -160,15 +163,17 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     if len(links) < 2:
         return []
     ordered = sorted(links, key=lambda one: (-one.tally.not_in_time, -one.tally.transactions))
+    missing = _of_missing([one.tally for one in links])
     rows = [
         StatisticsRow(
             f"{one.transport} {one.name or 'other links'} {one.settings or ''}".rstrip(),
-            _tally_cells(one.tally, one),
+            _tally_cells(one.tally, one, with_missing=bool(missing)),
             _style(one.tally),
         )
         for one in ordered[:top]
     ]
-    lines = table_lines("link", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
+    columns = (*_COUNTS, *_FAILED, *missing, _NOT_CAPTURED, *_LATENCY)
+    lines = table_lines("link", columns, rows, width)
     return lines + more_line(len(links), top, "links")
 
 
@@ -177,15 +182,17 @@ def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list
     if len(found) < 2 or len(found) > _ALIKE * sum(len(link.polls) for link in links):
         return []  # This section would nearly repeat the section of polls.
     found.sort(key=lambda one: (-one[1].tally.not_in_time, -one[1].tally.transactions))
+    missing = _of_missing([one.tally for _, one in found])
     rows = [
         StatisticsRow(
             _prefix(link, links) + _function_text(one),
-            _tally_cells(one.tally, link),
+            _tally_cells(one.tally, link, with_missing=bool(missing)),
             _style(one.tally),
         )
         for link, one in found[:top]
     ]
-    lines = table_lines("unit, function", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
+    columns = (*_COUNTS, *_FAILED, *missing, _NOT_CAPTURED, *_LATENCY)
+    lines = table_lines("unit, function", columns, rows, width)
     return lines + more_line(len(found), top, "functions")
 
 
@@ -198,17 +205,19 @@ def _function_text(one: FunctionReport) -> str:
 def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.polls]
     found.sort(key=lambda one: _by_failures(one[1].poll.tally))
+    missing = _of_missing([one.poll.tally for _, one in found])
     rows = [
         StatisticsRow(
             _of_master(link, one) + _prefix(link, links) + poll_text(one.poll),
-            _poll_cells(one, link),
+            _poll_cells(one, link, with_missing=bool(missing)),
             _style(one.poll.tally),
         )
         for link, one in found[:top]
     ]
     if not rows:
         return []
-    columns = _POLLS if any(link.load is not None for link in links) else _POLLS[:-1]
+    with_line = any(link.load is not None for link in links)
+    columns = (*_POLLS, *missing, *((_LINE,) if with_line else ()))
     has_failed = _failed(found[0][1].poll.tally) > 0
     title = "polls: failed, slowest" if has_failed else "polls, slowest first"
     lines = table_lines(title, columns, rows, width)
@@ -228,7 +237,7 @@ def _of_master(link: LinkReport, one: PollReport) -> str:
     return f"{one.poll.key.master}: " if len(link.masters) > 1 else ""
 
 
-def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
+def _poll_cells(one: PollReport, link: LinkReport, *, with_missing: bool) -> list[str]:
     poll = one.poll
     is_regular = poll.has_regular_period
     jitter_ns = poll.jitter_ns if is_regular and poll.period.count > 1 else None
@@ -243,16 +252,28 @@ def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
         *_latency_cells(poll.tally),
         counted(poll.tally.count(Outcome.EXCEPTION)),
         counted(poll.tally.not_in_time),
+        *(_missing_cells(poll.tally) if with_missing else ()),
         share,
     ]
 
 
-def _tally_cells(tally: RequestTally, link: LinkReport) -> list[str]:
+def _of_missing(tallies: Iterable[RequestTally]) -> tuple[StatisticsColumn, ...]:
+    """Return the columns that tell late and damaged answers apart, if there are any."""
+    is_any = any(one.damaged or one.count(Outcome.LATE) for one in tallies)
+    return _OF_MISSING if is_any else ()
+
+
+def _missing_cells(tally: RequestTally) -> list[str]:
+    return [counted(tally.count(Outcome.LATE)), counted(tally.damaged)]
+
+
+def _tally_cells(tally: RequestTally, link: LinkReport, *, with_missing: bool) -> list[str]:
     return [
         f"{tally.requests:,}",
         per_second(link.rate(tally.requests)),
         counted(tally.count(Outcome.EXCEPTION)),
         counted(tally.not_in_time),
+        *(_missing_cells(tally) if with_missing else ()),
         counted(tally.count(Outcome.NOT_CAPTURED)),
         *_latency_cells(tally),
     ]

@@ -57,7 +57,7 @@ def _counters(
         ("lost links", heartbeat.get("lost_links", "")),
         ("heard", f"{numbers.get('bytes', 0):,} bytes; the last at {_utc(numbers['last_ns'])}")
         if numbers.get("last_ns")
-        else ("heard", "nothing"),
+        else ("heard", "nothing until this heartbeat"),
         ("transactions", transactions or "none"),
         ("events", events),
         ("not recorded", ", ".join(lost)),

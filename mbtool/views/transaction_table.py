@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from rich.text import Text
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.core.moments import SECOND_NS
 from mbtool.core.wording import host_of
 from mbtool.modbus import Outcome
 from mbtool.views.cells import (
@@ -104,7 +105,6 @@ _COUNTED = re.compile(r" (x\d+)(?![^, ])")
 """Matches the number of equal values in a text, such as the x24 of `0 x24`."""
 _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
-_SECOND_NS = 1_000_000_000
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 
 
@@ -189,7 +189,7 @@ class TransactionTable:
         cells = [self._run_cells(column, number, run) for column in self._columns]
         texts = [f" {form.text(some)}" for form, some in zip(run.forms, run.values, strict=True)]
         lines = [*map(" ".join, zip(*cells, texts, strict=True))]
-        days = _each(self._times.day_of, [one // _SECOND_NS * _SECOND_NS for one in run.request_ns])
+        days = _each(self._times.day_of, [one // SECOND_NS * SECOND_NS for one in run.request_ns])
         begin = 0
         for day, some in groupby(days):
             end = begin + len([*some])

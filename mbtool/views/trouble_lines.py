@@ -12,6 +12,8 @@ from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Evidence, Trouble
 
@@ -95,19 +97,35 @@ def utc_text(ts_ns: int) -> str | None:
 
 
 def watch_text(judgement: Judgement, width: int) -> tuple[list[str], str]:
-    """Return the worst trouble with its remedy as at most WATCH_LINES lines of `width` characters,
-    and their style; no lines if there is none.
+    """Return the worst trouble with its remedy, and the others in a few words each, as at most
+    WATCH_LINES lines of `width` characters, and their style; no lines if there is none.
 
-    If there is no room for the remedy, it is left out. The last line says how many more there are.
+    If there is no room for the remedy, it is left out; then the last ones of the others, and the
+    last line says how many.
     """
     troubles = judgement.troubles
     if not troubles:
         return [], ""
-    worst, left = troubles[0], len(troubles) - 1
-    more = f"; {left} more: key 6" if left else ""
-    for text in (trouble_text(worst), printable(worst.cause)):
-        lines = wrap(f"{text}{more}", max(width, _NARROWEST), break_on_hyphens=False)
+    worst, others = troubles[0], [_few_words(one) for one in troubles[1:]]
+    texts = [f"{trouble_text(worst)}{_also(others, len(others))}"]
+    texts += [
+        f"{printable(worst.cause)}{_also(others, named)}" for named in range(len(others), -1, -1)
+    ]
+    for text in texts:
+        lines = wrap(text, max(width, _NARROWEST), break_on_hyphens=False)
         if len(lines) <= WATCH_LINES:
             break
     style = "bold red" if worst.severity is Severity.ERROR else "yellow"
     return lines[:WATCH_LINES], style
+
+
+def _few_words(one: Trouble) -> str:
+    more = f" and {len(one.others)} more" if one.others else ""
+    return printable(f"{one.who}{more} {one.short}")
+
+
+def _also(others: Sequence[str], named: int) -> str:
+    """Return the first `named` of the other troubles, and how many more there are."""
+    also = f"; also: {', '.join(others[:named])}" if named else ""
+    left = len(others) - named
+    return f"{also}; {left} more: key 6" if left else also

@@ -29,7 +29,7 @@ def adu_parts(transport: Transport, raw: bytes, direction: Direction) -> list[Ad
     """Return the fields of an ADU, in order; together they cover all its bytes. Never raises."""
     if transport is Transport.ASCII:
         return _ascii_parts(raw, direction)
-    is_tcp = transport is Transport.TCP
+    is_tcp = transport.has_mbap
     check = 0 if is_tcp else min(2, max(len(raw) - 2, 0))
     body = raw[: len(raw) - check]
     parts = _body_parts(body, _MBAP if is_tcp else _SERIAL, direction)

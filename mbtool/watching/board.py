@@ -19,6 +19,7 @@ from mbtool.devices.references import write_reference
 from mbtool.ledger.account import MAX_POLLS, Account
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES
+from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -45,7 +46,6 @@ _MAX_RETRIES = 2 * MAX_KEPT
 
 RetryKey = tuple[str, int, int]
 """The link and the unit of a request, and its time in UTC ns."""
-_MASK_WRITE, _READ_WRITE = 0x16, 0x17
 _BAD_CHECK = EventKind.BAD_CHECK.value
 _CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 
@@ -212,7 +212,7 @@ class Board:
         if one.outcome not in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST):
             return
         values = one.request_values if one.response_values is None else one.response_values
-        is_same = values == poll.values and one.function != _READ_WRITE
+        is_same = values == poll.values and one.function != READ_WRITE_REGISTERS
         if values is None or (is_same and not poll.shares_points):
             return
         if poll.values is not None:
@@ -228,14 +228,14 @@ class Board:
                 self._note_named(poll, one, point, at_ns)
             return
         function = FUNCTIONS.get(one.function)
-        if function is None or function.table is None or one.function == _MASK_WRITE:
+        if function is None or function.table is None or one.function == MASK_WRITE_REGISTER:
             return
         if one.response_values is not None and one.address is not None:
-            written = function.writes and one.function != _READ_WRITE
+            written = function.writes and one.function != READ_WRITE_REGISTERS
             self._note_raw(
                 poll, one, function.table, one.address, one.response_values, at_ns, written
             )
-        address = one.write_address if one.function == _READ_WRITE else one.address
+        address = one.write_address if one.function == READ_WRITE_REGISTERS else one.address
         if function.writes and one.request_values is not None and address is not None:
             self._note_raw(poll, one, function.table, address, one.request_values, at_ns, True)
 

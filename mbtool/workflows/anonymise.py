@@ -220,7 +220,7 @@ def _replaced_bytes(piece: WirePiece, packets: AnonymousPackets) -> bytes:
         Transport.ASCII: packets.ascii,
         Transport.TCP: packets.mbap,
     }
-    made = replaced[piece.frame.transport](piece.data)
+    made = replaced[piece.frame.transport.over_tcp](piece.data)
     return made if len(made) == len(piece.data) else packets.other(piece.data)
 
 

@@ -29,9 +29,9 @@ ANSWERED_OUTCOMES = (Outcome.OK, Outcome.BROADCAST)
 
 
 def transport_of(link: LinkSpec) -> Transport:
-    """The transport (RTU, ASCII, TCP or RTU over TCP) that a master uses on this link."""
+    """The transport (RTU, ASCII, TCP, UDP or RTU over these) that a master uses on this link."""
     if isinstance(link, TcpLink):
-        return Transport.RTU_TCP if link.rtu else Transport.TCP
+        return Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
     is_ascii = isinstance(link, SerialLink) and link.ascii
     return Transport.ASCII if is_ascii else Transport.RTU
 
@@ -148,7 +148,7 @@ class Changes:
         return msgspec.structs.replace(now, points=self._changed(before, now))
 
     def _changed(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
-        olds, news = (self._points(one) for one in (before, now))
+        olds, news = (points_of(one, self._profile) for one in (before, now))
         if len(olds) != len(news):  # The answer to another master's request, or a wrong one.
             return news
         return [
@@ -157,22 +157,23 @@ class Changes:
             if old.text != new.text
         ]
 
-    def _points(self, transaction: NamedTransaction) -> list[PointValue]:
-        """Return the points (named values) of a transaction. If the profile names none, make one
-        for each register or bit, named by its reference such as HR400001.
 
-        The field `reference` of such a point is empty, so that a table does not show the reference
-        twice.
-        """
-        if transaction.points:
-            return transaction.points
-        table = FUNCTIONS[transaction.function].table
-        assert table is not None
-        points = []
-        for index, value in enumerate(transaction.response_values or ()):
-            reference = write_reference(self._profile, table, (transaction.address or 0) + index)
-            points.append(PointValue(name=reference, reference="", text=str(value)))
-        return points
+def points_of(transaction: NamedTransaction, profile: Profile | None) -> list[PointValue]:
+    """Return the points (named values) of a transaction. If the profile names none, make one for
+    each register or bit, named by its reference such as HR400001.
+
+    The field `reference` of such a point is empty, so that a table does not show the reference
+    twice.
+    """
+    if transaction.points:
+        return transaction.points
+    table = FUNCTIONS[transaction.function].table
+    assert table is not None
+    points = []
+    for index, value in enumerate(transaction.response_values or ()):
+        reference = write_reference(profile, table, (transaction.address or 0) + index)
+        points.append(PointValue(name=reference, reference="", text=str(value)))
+    return points
 
 
 def _result(transaction: NamedTransaction) -> tuple[object, ...]:

@@ -24,6 +24,7 @@ from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.ledger.account import Account
 from mbtool.ledger.request_tally import merged
+from mbtool.logs.rotation import with_parts
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
@@ -47,13 +48,11 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
     WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
 
-LARGE = 256 * 1024
-"""The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
-importing numpy would take longer than arrays save."""
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
@@ -168,24 +167,21 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
-        reads_only: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account. With `reads_only`, only reads come
-        together in CheckedRecord.rows, and no writes.
+        all. `on_retry` and `observes` are those of Account.
         """
-        self._reads_only = reads_only
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
         self._window = window or TimeWindow(None, None)
-        self._paths = paths
+        self._paths = paths = with_parts(paths)
         self._options = options
         self._line = options.line
-        self._columns = column_reading(paths, options, at_least=LARGE) if wanted is None else None
+        self._columns = column_reading(paths, options) if wanted is None else None
         self.reading: Reading = self._columns or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
@@ -254,7 +250,7 @@ class CheckRun:
         """True if the files have transactions, but none in the time between --start and --end."""
         return self._window.why_empty is not None
 
-    def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
+    def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.
 
         `watch` passes on the records as they are read, and may show the progress. Raises InputError
@@ -278,7 +274,7 @@ class CheckRun:
         columns = self._columns if self._window.is_whole else None
         if columns is None:
             return self.reading.records()
-        return columns.quiet_parts(reads_only=self._reads_only)
+        return columns.quiet_parts()
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:
@@ -339,7 +335,7 @@ class CheckRun:
     def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
         for some, found in self._judge.check_rows(rows):
             findings = list(self._chosen(found))
-            if isinstance(some, NamedTransaction):
+            if isinstance(some, NamedTransaction | WireEvent):
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
                 answered = some.answered()

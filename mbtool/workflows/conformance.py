@@ -11,6 +11,9 @@
 #
 # A deviation that the standard allows, or that many devices share, is a note and no failure.
 #
+# A unit that answers none of MOST_SILENT requests in a row, and no other sign of life either, ends
+# the test. So does a TCP slave that can no longer be reached.
+#
 # Nothing is written but to the addresses that the user names, whose values are put back.
 
 from __future__ import annotations
@@ -21,7 +24,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction, SerialLink, TcpLink
+from mbtool.core import Direction, LinkError, SerialLink, TcpLink
+from mbtool.core.limits import LAST_UNIT
+from mbtool.core.wording import counted, duration, milliseconds
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
@@ -47,9 +52,27 @@ _OTHERS = tuple(
 _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
-_HIGHEST_UNIT = 247
+MOST_SILENT = 3
+"""After so many requests in a row without an answer other signs of life are looked for."""
+_SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
+_LATE_NS = 3_000_000_000
+"""An answer that does not come in time is awaited for this time (ns) more, to tell a late one."""
+_LONGEST_PAUSE_NS = 60_000_000
+"""A longer pause (ns) inside an answer is none of an adapter, which delivers bytes at least each
+16 ms."""
+_RECOVERIES = 8
+"""After wrong bytes, right requests are sent until one is answered, at most so many."""
+_TRIES = 3
+"""What a slave makes of a pause inside or before a frame counts if it is so each of so many times:
+a slave on a busy computer may not see the pause."""
+_PAUSES = 8
+"""An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
+times, a machine with 22 processes for 2 cores made a false one."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
+
+
+_ANSWERS = "the unit answers"
 
 
 class Result(StrEnum):
@@ -102,6 +125,9 @@ class Conformance:
         """The embedded slave of the profile, which says what should be answered."""
         self._good = self._answered_read()
         self.report = TestReport()
+        self._unanswered = 0
+        """The number of requests without an answer since the last one."""
+        self._late_ns = _LATE_NS
 
     def run(
         self,
@@ -110,13 +136,39 @@ class Conformance:
     ) -> Iterator[CaseResult]:
         """Run all cases and yield each result; end early when `stops` returns True.
 
-        `writes` are the addresses that may be written. Raises LinkError if the link is lost.
+        `writes` are the addresses that may be written. Raises LinkError if a serial port is lost.
         """
-        for result in self._all(writes):
+        cases = self._all(writes)
+        while (result := self._next(cases)) is not None:
             self.report.cases.append(result)
             yield result
             if stops():
                 return
+
+    def _next(self, cases: Iterator[CaseResult]) -> CaseResult | None:
+        """Return the result of the next case; None after the last one, or if the unit is gone."""
+        try:
+            if self._unanswered >= MOST_SILENT and not self._is_alive():
+                text = f"no answer to {self._unanswered} requests; the other cases were not run"
+            else:
+                return next(cases, None)
+        except LinkError as error:
+            if not isinstance(self._link, TcpLink) or not self.report.cases:
+                raise
+            text = f"{error}; the other cases were not run"
+        if self.report.cases and self.report.cases[-1].name == _ANSWERS:
+            return None
+        return CaseResult(_ANSWERS, "V1.1b3 4.1", Result.FAILED, text, b"", b"", 0)
+
+    def _is_alive(self) -> bool:
+        """True if the unit answers any of the requests that no test is about."""
+        for pdu in (self._good, *_SIGNS):
+            heard = self._wire.send([self._wire.adu(self._unit, pdu)])
+            if heard.raw:
+                self._unanswered = 0
+                return True
+            self._wire.renew()
+        return False
 
     def _all(self, writes: Sequence[Span]) -> Iterator[CaseResult]:
         yield from self._requests()
@@ -169,21 +221,42 @@ class Conformance:
 
     def _case(self, name: str, section: str, pdu: bytes) -> CaseResult:
         sent = self._wire.adu(self._unit, pdu)
+        begin_ns = time.monotonic_ns()
         heard = self._wire.send([sent])
-        problem = self._problem(pdu, heard)
+        problem = self._problem(pdu, sent, heard, begin_ns)
+        if problem:
+            self._wire.renew()
+        elif self._pauses(pdu, heard):
+            problem = f"the answer pauses {milliseconds(heard.longest_pause_ns)} inside"
         return _result(name, section, problem, sent, heard)
 
-    def _problem(self, pdu: bytes, heard: Heard) -> str:
-        """Compare what came with what the model answers; empty if they agree."""
+    def _pauses(self, pdu: bytes, heard: Heard) -> bool:
+        """True if the answer pauses inside, and again each time that the request is repeated."""
+        for _ in range(_PAUSES):
+            if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
+                return False
+            heard = self._wire.send([self._wire.adu(self._unit, pdu)])
+        return True
+
+    def _problem(self, pdu: bytes, sent: bytes, heard: Heard, begin_ns: int) -> str:
+        """Compare what came with what the model answers; empty if they agree.
+
+        `begin_ns` is the time at which the request was sent, in ns of the monotonic clock.
+        """
         response = self._model.respond(self._unit, pdu, time.monotonic_ns())
         wanted = None if response is None else response.pdu
         if wanted is None:
-            return "" if not heard.raw else f"expected no answer, got {_shown(heard, pdu)}"
+            return "" if not heard.raw else f"expected no answer, got {self._shown(heard, pdu)}"
+        self._unanswered = 0 if heard.raw else self._unanswered + 1
         got = heard.adus[0] if heard.adus else None
         if got is None:
-            return f"expected {_text(wanted, pdu)}, got {_shown(heard, pdu)}"
+            late = "" if heard.raw or heard.is_closed else self._late(begin_ns)
+            return f"expected {_text(wanted, pdu)}, got {late or self._shown(heard, pdu)}"
         if heard.rest:
             return f"expected nothing behind the answer, got {heard.rest.hex(' ')}"
+        wrong_id = _wrong_id(sent, heard)
+        if wrong_id:
+            return wrong_id
         # A device that answers every unit may answer with 0, as FA3 modules do.
         if got.unit != self._unit and not (self._profile.any_unit and got.unit == 0):
             return f"expected unit {self._unit} in the answer, got unit {got.unit}"
@@ -193,7 +266,21 @@ class Conformance:
             expected = ExpectedResponse.of(pdu)
             is_exception = bool(got.pdu[0] & EXCEPTION_BIT)
             is_right = not is_exception and (expected is None or expected.fits(got.pdu))
-        return "" if is_right else f"expected {_text(wanted, pdu)}, got {_text(got.pdu, pdu)}"
+        if not is_right:
+            return f"expected {_text(wanted, pdu)}, got {_text(got.pdu, pdu)}"
+        if heard.was_closed:
+            return "the slave closed the connection after the answer before"
+        return ""
+
+    def _late(self, begin_ns: int) -> str:
+        """Wait on for an answer that has not come in time; say how late it is, if it comes."""
+        before_ns = time.monotonic_ns() - begin_ns
+        heard = self._wire.hear(self._late_ns)
+        if not heard.raw:
+            self._late_ns = 0 if self._unanswered >= MOST_SILENT else self._late_ns
+            return ""
+        self._unanswered, self._late_ns = 0, _LATE_NS
+        return f"the answer only after {duration(before_ns + heard.after_ns)}"
 
     def _answered_read(self) -> bytes:
         """Return the PDU of a read that the profile's device answers with values."""
@@ -208,7 +295,7 @@ class Conformance:
 
     def _frames(self, link: SerialLink) -> Iterator[CaseResult]:
         good = self._wire.adu(self._unit, self._good)
-        other = self._unit % _HIGHEST_UNIT + 1
+        other = self._unit % LAST_UNIT + 1
         where = "Serial Line V1.02"
         yield self._silent("wrong check", f"{where} 2.5.1.2", [_wrong_check(good, link)])
         yield self._silent(
@@ -238,13 +325,12 @@ class Conformance:
         for number in (0, 1, _LAST):
             adu = mbap_adu(number, self._unit, good)
             heard = self._wire.send([adu])
-            ids = [one.transaction_id for one in heard.adus]
-            problem = "" if ids == [number] else f"expected id {number:04X}, got {_ids(ids)}"
+            problem = _wrong_id(adu, heard) or self._unless_right(heard, adu)
             yield _result(f"transaction id {number:04X}", f"{where} 3.1.3", problem, adu, heard)
         adu = self._wire.adu(self._unit, good)
         for cut in (1, 6, 7, len(adu) - 1):
             name = f"an ADU in two pieces, {cut} bytes first"
-            yield self._answered(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]], renews=True)
+            yield self._answered(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]])
         both = mbap_adu(0x1111, self._unit, good) + mbap_adu(0x2222, self._unit, good)
         heard = self._wire.send([both], awaited=2)
         ids = [one.transaction_id for one in heard.adus]
@@ -276,36 +362,56 @@ class Conformance:
         With `note`, an answer is no failure, and this text says what it means.
         """
         heard = self._wire.send(pieces, pause_ns, awaited=0)
-        problem = "" if not heard.raw else f"expected no answer, got {_shown(heard, self._good)}"
+        problem = (
+            "" if not heard.raw else f"expected no answer, got {self._shown(heard, self._good)}"
+        )
         is_note = note is not None and bool(problem)
         if is_note:
             problem = f"{problem}: {note}"
-        lasting = self._lasting_problem()
+        lasting = self._lasting_problem(forgiven=1)
         if lasting:
             problem, is_note = f"{problem}; {lasting}".lstrip("; "), False
         return _result(name, section, problem, b"".join(pieces), heard, is_note=is_note)
 
-    def _answered(
-        self, name: str, section: str, pieces: Sequence[bytes], *, renews: bool = False
-    ) -> CaseResult:
+    def _answered(self, name: str, section: str, pieces: Sequence[bytes]) -> CaseResult:
         """Send bytes whose last ones are a right request, with a pause before them."""
-        heard = self._wire.send(pieces, _TORN_NS)
-        problem = (
-            ""
-            if _is_right(heard, self._good)
-            else (f"expected {_text(b'', self._good)}, got {_shown(heard, self._good)}")
-        )
-        if renews and problem:
-            self._wire.renew()
+        for _ in range(_TRIES):
+            heard = self._wire.send(pieces, _TORN_NS)
+            problem = self._unless_right(heard, b"".join(pieces))
+            if not problem:
+                break
+            lasting = self._lasting_problem(forgiven=0)
+            problem = f"{problem}; {lasting}" if lasting else problem
         return _result(name, section, problem, b"".join(pieces), heard)
 
-    def _lasting_problem(self) -> str:
-        """Return what is wrong if a right request gets no right answer any more; else nothing."""
-        for _ in range(2):
-            self._wire.renew()
+    def _unless_right(self, heard: Heard, sent: bytes) -> str:
+        """Say what is wrong with the answer to the right request; nothing if it is right."""
+        if not _is_right(heard, self._good):
+            return f"expected {_text(b'', self._good)}, got {self._shown(heard, self._good)}"
+        return _wrong_id(sent, heard)
+
+    def _lasting_problem(self, forgiven: int) -> str:
+        """Send right requests until one gets a right answer; say how many did not, if these are
+        more than `forgiven`.
+        """
+        for unanswered in range(_RECOVERIES):
+            try:
+                self._wire.renew()
+            except LinkError as error:
+                return f"afterwards {error}"
             if _is_right(self._wire.send([self._wire.adu(self._unit, self._good)]), self._good):
-                return ""
+                if unanswered <= forgiven:
+                    return ""
+                return f"the next {counted(unanswered, 'right request')} got no right answer"
         return "afterwards it answers no right request"
+
+    def _shown(self, heard: Heard, pdu: bytes) -> str:
+        """Say what came in place of a right answer to the request with this PDU."""
+        if heard.adus:
+            return _text(heard.adus[0].pdu, pdu)
+        if heard.raw:
+            return self._wire.damage(heard.raw, pdu)
+        return "the end of the connection" if heard.is_closed else "no answer"
 
     # Writes, only where the user allows them.
 
@@ -326,8 +432,9 @@ class Conformance:
                 heard = self._wire.send([sent])
                 got = heard.adus[0].pdu if heard.adus else b""
                 problem = ""
-                if got != _write(writing, at, changed):
-                    problem = f"expected the request repeated, got {_shown(heard, b'')}"
+                request = _write(writing, at, changed)
+                if got != request:
+                    problem = f"expected the request repeated, got {self._shown(heard, request)}"
                 elif (after := self._value(reading, at)) != changed:
                     problem = f"expected {changed} to be read back, got {after}"
             finally:
@@ -367,21 +474,27 @@ def _is_right(heard: Heard, pdu: bytes) -> bool:
 def _text(response: bytes, pdu: bytes) -> str:
     """Say what a response is: values, or an exception by code and name."""
     if response and response[0] & EXCEPTION_BIT and len(response) == 2:
-        return f"exception {response[1]:02X} {exception_name(response[1])}"
+        text = f"exception {response[1]:02X} {exception_name(response[1])}"
+        is_other = bool(pdu) and response[0] != pdu[0] | EXCEPTION_BIT
+        return f"{text} with function {response[0]:02X}" if is_other else text
     if pdu and pdu[0] in _READS and (not response or response[0] == pdu[0]):
         quantity = int.from_bytes(pdu[3:5])
         if response and (expected := ExpectedResponse.of(pdu)) and not expected.fits(response):
-            return f"{len(response) - 2} bytes of values"
+            more = len(response) - 2 - response[1] if len(response) > 1 else 0
+            behind = f" and {counted(more, 'byte')} behind them" if more > 0 else ""
+            return f"{counted(len(response) - 2 - max(more, 0), 'byte')} of values{behind}"
         return f"{quantity} value{'s' * (quantity != 1)}"
     return f"{response.hex(' ')}" if response else "an answer"
 
 
-def _shown(heard: Heard, pdu: bytes) -> str:
-    if heard.adus:
-        return _text(heard.adus[0].pdu, pdu)
-    if heard.raw:
-        return f"bytes that are no ADU: {heard.raw[:32].hex(' ')}"
-    return "the end of the connection" if heard.is_closed else "no answer"
+def _wrong_id(sent: bytes, heard: Heard) -> str:
+    """Say that the first answer has another transaction id than the request `sent`; nothing if it
+    has the same, or if the link has no such ids.
+    """
+    got = heard.adus[0].transaction_id if heard.adus else None
+    if got in (None, int.from_bytes(sent[:2])):
+        return ""
+    return f"expected transaction id {sent[:2].hex().upper()} in the answer, got {got:04X}"
 
 
 def _ids(ids: Sequence[int | None]) -> str:

@@ -14,9 +14,11 @@ from __future__ import annotations
 import heapq
 import os
 import platform
+import re
 import shlex
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 
@@ -46,7 +48,9 @@ from mbtool.packets.capture_writer import (
 from mbtool.packets.line_packets import (
     OpenReads,
 )
+from mbtool.packets.tcp_ends import tcp_ends
 from mbtool.workflows.shared.conversion_inputs import grouped
+from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.undecoded_logs import heard
@@ -64,6 +68,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.time_window import TimeWindow
 
 T = TypeVar("T")
+
+DEVICE = "{device}"
+"""In the name of the file to write, this stands for the name of a slave."""
+_NO_NAME = re.compile(r"[^\w.-]")
+"""The characters of a slave's name that a file's name does not get."""
 
 CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
 _REORDER_NS = 2_000_000_000
@@ -83,19 +92,26 @@ class Conversion:
         watch: Watch = unwatched,
         *,
         anonymous: bool = False,
+        connections: bool = False,
     ) -> None:
         """Open the files and group them by capture.
 
         `where` returns True for the transactions to write; None to write all. `watch` passes on the
         items as they are read, and may show the progress. With `anonymous`, the output does not
-        name the files, this machine and the command. Raises InputError for a file that cannot be
-        read, UsageError for a file of a kind that cannot be converted.
+        name the files, this machine and the command. With `connections`, all packets of the TCP
+        connections of the chosen transactions are chosen, too. Raises InputError for a file that
+        cannot be read, UsageError for a file of a kind that cannot be converted.
         """
         self._options = options
         self._window = window
         self._where = where
         self._watch = watch
         self._anonymous = anonymous
+        self._connections = connections
+        self._device: str | None = None
+        """The only slave that is written, by the name that `device_of` gives; None for all."""
+        self._is_marked = False
+        """True once the files were decoded, so that each output needs only their evidence."""
         self._groups = grouped(paths, options)
 
     @property
@@ -140,6 +156,22 @@ class Conversion:
             if not (done.packets or done.reads or done.transactions):
                 self.demand_whole()
         return done
+
+    def write_each(self, out: str, *, overwrite: bool = False) -> Iterator[tuple[str, Converted]]:
+        """Write a file for each slave; yield its path and what is in it.
+
+        `out` is the path with DEVICE in it, which the name of the slave replaces. All packets of
+        the TCP connections of a slave are in its file. Raises the errors of `write`.
+        """
+        self._read_marks()
+        groups = self._groups
+        names = sorted({one for group in groups for one in group.marks.devices.values()})
+        paths = {name: out.replace(DEVICE, _NO_NAME.sub("_", name)) for name in names}
+        for path in paths.values():
+            check_path(Path(path), replace=overwrite)
+        for name, path in paths.items():
+            self._device = name
+            yield path, self.write(path, overwrite=overwrite)
 
     def evidence(self) -> Iterator[Shown]:
         """Decode the files, and yield the chosen packets, frames and bytes between frames."""
@@ -204,6 +236,8 @@ class Conversion:
         return _merged([first.records(watch), *(group.records() for group in others)], _record_ns)
 
     def _is_wanted(self, one: NamedTransaction) -> bool:
+        if self._device is not None and device_of(one) != self._device:
+            return False
         return one in self._window and (self._where is None or self._where(one))
 
     @property
@@ -211,6 +245,9 @@ class Conversion:
         return self._where is None and self._window.is_whole
 
     def _read_marks(self) -> None:
+        if self._is_marked:
+            return
+        self._is_marked = True
         if not self._window.is_whole:
             # Read until the time window knows the first request, from which --start and --end may
             # count.
@@ -236,15 +273,21 @@ class Conversion:
         return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
-        pieces = (one for one in _cut(group) if self._keeps(group, one))
+        read = _EvidencePass(group.marks.items)
+        items = self._watch(read, read.counted(group.evidence()))
+        pieces = (one for one in _cut(group, items) if self._keeps(group, one))
         if any(key.connection is None and key.direction is not Direction.UNKNOWN
                for key in group.marks.frames):  # fmt: skip
             return _in_time_order(pieces)
         return (one.item for one in pieces)
 
     def _keeps(self, group: InputGroup, one: _Cut) -> bool:
+        if self._device is not None and not self._is_of_device(group, one):
+            return False
         if self._is_whole:
             return True
+        if isinstance(one.item, NumberedPacket) and (self._connections or self._device is not None):
+            return tcp_ends(one.item.packet) in group.marks.connections
         if isinstance(one.item, WirePiece):
             if one.item.frame is not None:
                 return one.item.frame.is_kept
@@ -254,6 +297,17 @@ class Conversion:
         elif one.number in group.marks.used:
             return one.number in group.marks.kept
         return self._where is None and self._window.contains_ns(one.item.ts_ns)
+
+    def _is_of_device(self, group: InputGroup, one: _Cut) -> bool:
+        """True if the item belongs to the slave that is written."""
+        devices = group.marks.devices
+        if isinstance(one.item, NumberedPacket):
+            ends = tcp_ends(one.item.packet) or ()
+            return any(devices.get(end) == self._device for end in ends)
+        key, frame = one.item.key, one.item.frame
+        if key.connection is not None:
+            return key.connection.slave.host == self._device
+        return frame is not None and devices.get((key.link, frame.unit)) == self._device
 
     def _head(self) -> CaptureHead:
         return _joined_heads(self._groups, self._options)
@@ -342,14 +396,39 @@ class _Cut(NamedTuple):
     bytes."""
 
 
-def _cut(group: InputGroup) -> Iterator[_Cut]:
+@dataclass
+class _EvidencePass:
+    """How much of the evidence of a capture was read again."""
+
+    items: int
+    done: int = 0
+
+    @property
+    def fraction(self) -> float | None:
+        return min(self.done / self.items, 1.0) if self.items else None
+
+    @property
+    def progress_text(self) -> str:
+        return "writing"
+
+    @property
+    def noun(self) -> str:
+        return "packets"
+
+    def counted(self, items: Iterable[T]) -> Iterator[T]:
+        for item in items:
+            self.done += 1
+            yield item
+
+
+def _cut(group: InputGroup, items: Iterable[Chunk | Packet | WireEvent]) -> Iterator[_Cut]:
     """Yield the packets of a capture with their comments, and the bytes of its serial reads cut
-    into frames.
+    into frames. `items` is the evidence of the capture.
     """
     marks = group.marks
     streams: dict[StreamKey, WireStream] = {}
     number = 0
-    for item in group.evidence():
+    for item in items:
         if isinstance(item, Packet):
             number += 1
             yield _Cut(NumberedPacket(item, marks.comments.get(number, ())), number)

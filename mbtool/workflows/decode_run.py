@@ -199,7 +199,7 @@ class _RunWork:
         task = self._task
         options = ReadingOptions(ports=task.ports, rtu_ports=task.rtu_ports, any_port=task.any_port)
         paths = [one.path for one in inputs]
-        reading = column_reading(paths, options) or Reading(paths, options)
+        reading = column_reading(paths, options, at_least=0) or Reading(paths, options)
         own = {shown_name(one.path): one.number for one in inputs if one.number is not None}
         stop: InputError | None = None
         try:

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 OLDEST_PYTHON = (3, 11)
 SMALLEST_TERMINAL = (80, 24)
 """The size for which tables and the screen of `mbtool watch` are made, in columns and rows."""
-_NEEDED = ("fastcrc", "mcap", "msgspec", "serial", "rich", "scapy", "typer", "zstandard")
+_NEEDED = ("fastcrc", "mcap", "msgspec", "numpy", "serial", "rich", "scapy", "typer", "zstandard")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "watch": ("textual",),
-    "columns": ("numpy", "pyarrow"),
-    "cluster": ("numpy", "pyarrow", "dask", "distributed"),
+    "columns": ("pyarrow",),
+    "cluster": ("pyarrow", "dask", "distributed"),
     "plot": ("matplotlib",),
     "pytest": ("pytest",),
     "tls": ("cryptography",),
@@ -43,7 +43,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 """For each optional extra of the package, the modules that it installs."""
 _FOR = {
     "watch": "mbtool watch",
-    "columns": "Parquet, Arrow and large captures",
+    "columns": "Parquet and Arrow",
     "cluster": "decode --cluster",
     "plot": "pictures of mbtool plot",
     "pytest": "fixtures for tests",

@@ -21,8 +21,7 @@ from mbtool.devices import profile_to_json
 from mbtool.logs.links import SPEC
 from mbtool.modbus.adu import DirectionBy
 from mbtool.packets import CaptureHead
-from mbtool.packets.line_packets import LOCAL_BLOCK, RAW_IPV4
-from mbtool.packets.serial_packets import RTAC_SERIAL
+from mbtool.packets.line_packets import LOCAL_BLOCK, RAW_IPV4, RTAC_SERIAL
 from mbtool.workflows.shared.evidence_reading import comments_of, frames_of
 from mbtool.workflows.shared.pcapng_output import PieceWriter
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,17 +18,14 @@ from mbtool.ledger.inventory import inventory
 from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
-from mbtool.workflows.check import CheckedRecord, CheckRun
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.check import CheckRun
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.reading import ReadingOptions
 
 if TYPE_CHECKING:
     from mbtool.ledger.baseline import InventoryChange
     from mbtool.troubles.judge import Judgement
 
-WatchParts = Callable[[Reading, Iterator[CheckedRecord]], Iterator[CheckedRecord]]
-"""A function that yields the items it gets from a reading unchanged, and may show a progress
-bar."""
 _DOCUMENT_BEGINS = b"{"
 MAX_DOCUMENT_BYTES = 256 << 20
 """The largest size (bytes) of a stored inventory that is read. An inventory of 65,536 units, the
@@ -61,7 +58,7 @@ class InventoryRun:
         return self._check.judgement()
 
     def take(
-        self, on_remark: Callable[[str], None] = lambda _: None, watch: WatchParts = unwatched
+        self, on_remark: Callable[[str], None] = lambda _: None, watch: Watch = unwatched
     ) -> InventoryDocument:
         """Read the files as far as they can be read, and return their inventory.
 

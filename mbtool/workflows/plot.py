@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.devices.spans import names_table
 from mbtool.values.chosen_values import ChosenValues, NamedAddresses
+from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import SeriesKey, Values
 from mbtool.workflows.shared.questions import Wording
 from mbtool.workflows.shared.read_all import unwatched
@@ -43,8 +44,10 @@ class PlotRun:
         texts: Sequence[str],
         window: TimeWindow,
         wanted: Callable[[NamedTransaction], bool],
+        *,
+        guesses: bool = True,
     ) -> None:
-        """Prepare to read.
+        """Prepare to read. With `guesses`, registers that are surely one number are one series.
 
         `texts` are the names or addresses of the points and registers to collect; if it is empty,
         all are collected. Only transactions in `window` are used, and only those for which `wanted`
@@ -52,6 +55,7 @@ class PlotRun:
         """
         self.reading = Reading(files, options)
         self._texts, self._window, self._wanted = texts, window, wanted
+        self._guesses = guesses
         self.error: InputError | None = None
         """The error of a file that could be read only in part; None if all files were read to their
         ends."""
@@ -81,7 +85,9 @@ class PlotRun:
         if missing and begin_ns:
             raise UsageError(_why_missing(missing[0], self._texts))
         left_out = values.left_out if isinstance(values, Values) else len(values.left_out)
-        return PlottedValues(values.series, begin_ns, end_ns, left_out)
+        asked = values.requests if isinstance(values, Values) else ()
+        series = with_guesses(values.series, asked) if self._guesses else values.series
+        return PlottedValues(series, begin_ns, end_ns, left_out)
 
 
 def _why_missing(text: str, texts: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialLink, UsageError
+from mbtool.core.moments import SECOND_NS
 from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.replay import BusPlayer, PlayClock, Steering
 from mbtool.workflows.shared.bus_recording import read_pieces
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from mbtool.replay import PlayerControls
     from mbtool.workflows.shared.read_all import Watch
 
-_NS = 1_000_000_000
-_LOOP_GAP_NS = _NS
+_LOOP_GAP_NS = SECOND_NS
 """With --loop, this much recorded time (ns) passes between the end of the recording and its next
 beginning."""
 _LOOK_NS = 30_000_000
@@ -135,7 +135,7 @@ class BusRun:
                     continue
                 wake_ns = player.wake_ns(now_ns)
                 rest_ns = _LOOK_NS if wake_ns is None else min(wake_ns - now_ns, _LOOK_NS)
-                time.sleep(max(rest_ns, 0) / _NS)
+                time.sleep(max(rest_ns, 0) / SECOND_NS)
             _let_pass(player)
         return _report(player, options)
 
@@ -143,7 +143,7 @@ class BusRun:
 def _let_pass(player: BusPlayer) -> None:
     """Wait until the port has sent its last byte, as closing it earlier could discard bytes."""
     if player.passed_ns is not None:
-        time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
+        time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / SECOND_NS)
 
 
 def _report(player: BusPlayer, options: BusOptions) -> BusReport:

@@ -5,17 +5,19 @@ recorded ones.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import InputError, LinkError, TcpLink
-from mbtool.core.wording import counted
+from mbtool.core import InputError, LinkError, TcpLink, UsageError
+from mbtool.core.moments import SECOND_NS
+from mbtool.core.wording import counted, plural
 from mbtool.devices import Difference, DifferenceKind, Span, parse_span, write_reference
 from mbtool.master.connections import ConnectionsMaster
 from mbtool.master.links import open_master
+from mbtool.modbus import Outcome
 from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay import (
     Conductor,
@@ -29,7 +31,9 @@ from mbtool.replay import (
     Tolerance,
 )
 from mbtool.replay.connections import Beginning, connection_text
+from mbtool.replay.damaged import damaged_answers
 from mbtool.replay.script import Action, ConnectionStep
+from mbtool.replay.tolerances import Tolerances
 from mbtool.views.junit import Case, junit_xml
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import (
@@ -41,12 +45,11 @@ from mbtool.workflows.shared.recorded import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.core import LinkSpec
-    from mbtool.devices import Profile
+    from mbtool.core import LinkSpec, WireEvent
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.master.links import MasterLink
     from mbtool.workflows.shared.read_all import Watch
 
-_NS = 1_000_000_000
 _AT_ONCE_NS = 200_000
 """If the call that sends a request takes less than this (ns), the time before the call counts as
 the time of sending; else the time after it."""
@@ -63,7 +66,7 @@ class MasterOptions(PlayOptions):
     """The options for replaying a recording as the master, which sends the recorded requests."""
 
     is_loop: bool = False
-    timeout_ns: int = _NS
+    timeout_ns: int = SECOND_NS
     listen_ns: int | None = 0
     """How long to listen for another master on a serial line before the first request, in ns; 0 for
     not at all, None for the usual times."""
@@ -74,6 +77,10 @@ class MasterOptions(PlayOptions):
     """True if registers whose values differ are collected in `Report.learned` and do not count as
     differences."""
     tolerance: Tolerance | None = None
+    tolerate: Sequence[str] = ()
+    """By how much values may differ, as texts such as `Temperature=0.5` (replay/tolerances.py)."""
+    units: Mapping[int, int] = field(default_factory=dict)
+    """The unit to ask in place of a recorded one."""
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -101,6 +108,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     learned: list[str] = field(default_factory=list)
     """With --learn, the ranges of registers whose values differed from the recording, as texts for
     --ignore; else empty."""
+    damaged: int = 0
+    """The number of recorded requests whose answers are not compared, because the recording shows
+    them damaged: with a wrong check, in part, malformed or late."""
     uncompared_latencies: int = 0
     """The number of requests whose latencies could not be compared, because they had too few
     responses."""
@@ -128,8 +138,9 @@ class MasterRun:
         """Read the recording; if it is cut or damaged, only the part that can be read.
 
         `on_remark` gets lines for the user about the file. Raises InputError if the file cannot be
-        read or has no request to send. Raises UsageError if a unit is on several links, or if a
-        text in `options.ignore` is no range of registers.
+        read or has no request to send. Raises UsageError if a unit is on several links, if a
+        text in `options.ignore` is no range of registers, if one in `options.tolerate` names no
+        point, or if a unit in `options.units` is not asked.
         """
         self._path = path
         self._on_remark = on_remark
@@ -139,10 +150,20 @@ class MasterRun:
         profiles = recorded.assignments.profiles
         self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
         self._connections = recorded.connections(options, None, on_remark)
-        self.script = Script.of(within(recorded.transactions, options.window), self._connections)
+        shown = within(recorded.transactions, options.window)
+        shown, self.damaged = _without_damage(shown, recorded.damage)
+        self.script = Script.of(shown, self._connections)
         if not self.script.steps:
             raise InputError(f"{path}: no request to ask{where_none(options.window)}")
         self._spans = self.spans_of(options.ignore)
+        self._values = Tolerances(options.tolerate, self._profiles) if options.tolerate else None
+        for recorded_unit in options.units:
+            if recorded_unit not in self.script.units:
+                known = ", ".join(map(str, sorted(self.script.units)))
+                raise UsageError(
+                    f"--unit {recorded_unit}={options.units[recorded_unit]}: {path} asks "
+                    f"{plural(len(self.script.units), 'unit')} {known}"
+                )
 
     def spans_of(self, texts: Sequence[str]) -> list[Span]:
         """Return ranges of registers, written as for the recording's devices.
@@ -176,9 +197,10 @@ class MasterRun:
             spans=self._spans,
             learns=options.learns,
             tolerance=options.tolerance,
+            values=self._values,
         )
         clock = PlayClock(
-            self.script.length_ns, rate=options.rate, gap_ns=_NS, is_loop=options.is_loop
+            self.script.length_ns, rate=options.rate, gap_ns=SECOND_NS, is_loop=options.is_loop
         )
         conductor, problem = None, None
         try:
@@ -205,7 +227,7 @@ class MasterRun:
 
     def _open(self, link: LinkSpec) -> MasterLink:
         options = self._options
-        if not self._connections or not isinstance(link, TcpLink):
+        if not self._connections or not isinstance(link, TcpLink) or link.is_udp:
             return open_master(link, options.timeout_ns, self._on_remark)
         master = ConnectionsMaster(link, options.timeout_ns, self._on_remark)
         if self._connections[0].is_open:
@@ -290,7 +312,8 @@ class MasterRun:
             if isinstance(master, ConnectionsMaster):
                 master.use(step.connection or 0)
             begin_ns = time.monotonic_ns()
-            master.send(step.number, step.unit, step.pdu)
+            unit = self._options.units.get(step.unit, step.unit)
+            master.send(step.number, unit, step.pdu)
             end_ns = time.monotonic_ns()
             # A slave on this machine may respond before the time `end_ns` is read. A latency
             # counted from `end_ns` would be negative then, so after a short call it counts from
@@ -333,11 +356,30 @@ class MasterRun:
             asked=judge.requests(),
             differences=judge.differences(),
             learned=[_written(span) for _, span in judge.learned()] if options.learns else [],
+            damaged=self.damaged,
             uncompared_latencies=judge.uncompared_latencies(),
             not_asked=not_asked,
             not_awaited=conductor.pending if conductor and is_partial else 0,
             problem=problem,
         )
+
+
+def _without_damage(
+    transactions: Sequence[NamedTransaction], events: Sequence[WireEvent]
+) -> tuple[list[NamedTransaction], int]:
+    """Return the transactions, with the outcome `not-captured` where the recording shows that the
+    answer was damaged, malformed or late, and the number of these.
+    """
+    ordered = sorted(transactions, key=lambda one: one.start_ns)
+    damaged = damaged_answers(ordered, events)
+    count = 0
+    for index, one in enumerate(ordered):
+        if index in damaged or one.outcome in (Outcome.MALFORMED, Outcome.LATE):
+            count += one.request_raw is not None
+            ordered[index] = msgspec.structs.replace(
+                one, outcome=Outcome.NOT_CAPTURED, response_raw=None, latency_ns=None
+            )
+    return ordered, count
 
 
 def junit(report: Report) -> str:
@@ -350,7 +392,7 @@ def junit(report: Report) -> str:
     cases = [
         Case(
             f"unit {one.unit}",
-            _case_name(one),
+            request_text(one.what, one.reference),
             [*_counted(one), *one.problems],
             time_ns=one.time_ns,
         )
@@ -382,13 +424,11 @@ def interrupted_text(report: Report) -> str:
     return text
 
 
-def _case_name(request: RequestReport) -> str:
-    """The name of the test case for a request: function and addresses, as `03 read holding
-    0..1`.
-    """
-    action, _, table = request.what.rpartition(" ")
-    is_named_twice = request.reference.startswith(f"{table} ")
-    return f"{action if is_named_twice else request.what} {request.reference}"
+def request_text(what: str, reference: str) -> str:
+    """Name a request by its function and addresses, as `03 read holding 0..1`."""
+    action, _, table = what.rpartition(" ")
+    is_named_twice = reference.startswith(f"{table} ")
+    return f"{action if is_named_twice else what} {reference}".rstrip()
 
 
 def _counted(request: RequestReport) -> list[str]:

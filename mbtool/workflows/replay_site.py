@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import Endpoint, InputError, LinkSpec, TcpLink, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED, MODBUS_PORT
 from mbtool.devices import parse_who
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.shells import slave_link
-from mbtool.slave.shells.shell_group import ShellGroup
+from mbtool.slave.shells.opening import ShellGroup
 from mbtool.workflows.replay_slave import PlayedSlave, SlaveRun
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import demand_one_slave_each, read_recorded, where_none
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 MAX_LINKS = 256
 ALL = "all"
-_SCHEME = re.compile(r"(?:rtu|ascii|rtutap|asciitap|net|tap|tcp|rtu\+tcp):")
+_SCHEME = re.compile(r"(?:rtu|ascii|rtutap|asciitap|net|tap|(?:rtu\+)?(?:tcp|udp)):")
 _NETWORK = re.compile(
-    r"(?P<scheme>tcp|rtu\+tcp):\[?(?P<network>[0-9a-fA-F.:]+/\d{1,3})\]?(?::(?P<port>\d{1,5}))?"
+    r"(?P<scheme>(?:rtu\+)?(?:tcp|udp)):\[?(?P<network>[0-9a-fA-F.:]+/\d{1,3})\]?(?::(?P<port>\d{1,5}))?"
 )
 _FEW = 6
 
@@ -67,6 +67,7 @@ class SiteRule:
     network: Network | None = None
     port: int = MODBUS_PORT
     rtu: bool = False
+    is_udp: bool = False
 
     @classmethod
     def parse(cls, text: str) -> SiteRule:
@@ -85,8 +86,10 @@ class SiteRule:
         except ValueError as error:
             raise UsageError(f"--on {text}: {error}") from None
         if port > 65535:
-            raise UsageError(f"--on {text}: {port} is no TCP port")
-        return cls(who, link_text, None, network, port, match["scheme"] != "tcp")
+            raise UsageError(f"--on {text}: {port} is no port")
+        scheme = match["scheme"]
+        is_rtu, is_udp = scheme.startswith("rtu+"), scheme.endswith("udp")
+        return cls(who, link_text, None, network, port, is_rtu, is_udp)
 
 
 class SitePlayer(NamedTuple):
@@ -305,7 +308,7 @@ def _parts(
     for place in sorted(dict.fromkeys(place for place, _ in slaves), key=_sort_key):
         address = _free_address(rule, _name(place), taken)
         taken.add(address)
-        link = TcpLink(Endpoint(str(address), rule.port), rule.rtu)
+        link = TcpLink(Endpoint(str(address), rule.port), rule.rtu, is_udp=rule.is_udp)
         here = frozenset(slave for slave in slaves if slave[0] == place)
         parts.append(_SitePart(_name(place), link, here))
     return parts

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, SerialLink, TcpLink, UsageError
 from mbtool.modbus import Transport
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
     ConnectionPlayer,
     FixedLatency,
@@ -27,7 +27,7 @@ from mbtool.replay import (
     SampledLatency,
 )
 from mbtool.slave.device import RegisterImage
-from mbtool.slave.device.units import is_line
+from mbtool.slave.device.responder import is_line
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
-    from mbtool.replay import AnsweredFrom, Control, Progress
+    from mbtool.replay import AnsweredFrom, Control, Progress, RequestKind
     from mbtool.slave.device.connection_policy import ConnectionPolicy
     from mbtool.slave.shells import OnExchange, Shell
     from mbtool.workflows.shared.read_all import Watch
@@ -153,7 +153,7 @@ class SlaveRun:
             any_unit=self._any_unit(where),
         )
         rules = None
-        if isinstance(where, TcpLink) and self._connections:
+        if isinstance(where, TcpLink) and not where.is_udp and self._connections:
             is_loop = options.on_end is OnEnd.LOOP
             rules = ConnectionPlayer(self._connections, rate=options.rate, is_loop=is_loop)
         responder: Responder = slave
@@ -167,6 +167,13 @@ class SlaveRun:
             rules=rules,
             on_exchange=on_exchange,
         )
+
+    def is_recorded(self, unit: int, pdu: bytes, link: LinkSpec) -> bool:
+        """True if the recording has such a request to the unit, if it is sent on this link."""
+        any_unit = self._any_unit(slave_link(link))
+        if any_unit is not None and all(unit != asked for asked, _ in self.recording.answers):
+            unit = any_unit
+        return self.recording.has(unit, pdu)
 
     def _any_unit(self, where: SerialLink | TcpLink) -> int | None:
         """The recorded unit of a device that answers requests for any unit on this link."""
@@ -228,6 +235,11 @@ class PlayedSlave:
         with self._lock:
             return self._slave.answered_from.copy()
 
+    def unrecorded(self) -> Counter[RequestKind]:
+        """How often requests came that the recording does not have."""
+        with self._lock:
+            return self._slave.unrecorded.copy()
+
     def control(self, control: Control) -> None:
         """Carry out the command of a key that the user pressed: pause, step, faster or slower."""
         with self._lock:
@@ -268,7 +280,7 @@ def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
 def _transport(link: SerialLink | TcpLink) -> Transport:
     if isinstance(link, SerialLink):
         return Transport.ASCII if link.ascii else Transport.RTU
-    return Transport.RTU_TCP if link.rtu else Transport.TCP
+    return Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
 
 
 def _fixed_latency_ns(text: str) -> int | None:

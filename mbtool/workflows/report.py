@@ -20,12 +20,14 @@ from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.troubles.broken_rules import Summaries
 from mbtool.troubles.polling import LATE_NS, late_units
+from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import Values
 from mbtool.version import __version__
 from mbtool.views.report.contents import (
     ComparisonWith,
     FileOrigin,
     ReportContents,
+    ReportWords,
     encoded,
     report_document,
 )
@@ -38,19 +40,21 @@ from mbtool.workflows.diff import DiffOptions, compare
 from mbtool.workflows.shared.read_all import unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from mbtool.columns.quiet_rows import BlockRows
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.query.where import Where
     from mbtool.workflows.check import CheckedRecord, CodeFilter
-    from mbtool.workflows.shared.reading import Reading, ReadingOptions
+    from mbtool.workflows.shared.read_all import Watch
+    from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 
-    WatchChecked = Callable[[Reading, Iterator[CheckedRecord]], Iterator[CheckedRecord]]
 
+NO_WORDS = ReportWords()
 _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT, EventKind.UNREADABLE))
 MAX_LACKING = 200
 """The page lists at most this many events about missing or unreadable data."""
@@ -66,28 +70,35 @@ class ReportRun:
         codes: CodeFilter | None = None,
         window: TimeWindow | None = None,
         *,
+        wanted: Where | None = None,
+        words: ReportWords = NO_WORDS,
         everything: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings that the page has, and `window` the part of
         the captures; None for all.
 
-        With `everything`, the page has all transactions, however large it becomes; otherwise only
-        as many as TransactionRows keeps.
+        `wanted` returns True for the transactions that the page is about, None for all; `words` are
+        the user's own. With `everything`, the page has all transactions, however large it
+        becomes; otherwise only as many as TransactionRows keeps.
         """
         self._files = files
         self._options = options
+        self._wanted = wanted
+        self._words = words
         self._check = CheckRun(
             files,
             options,
             codes,
             window=window,
+            wanted=wanted,
             on_retry=self._mark_retry,
             observes=True,
-            reads_only=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
         self._values = Values()
+        self.guesses = True
+        """True to show registers that are surely one number as that number."""
         self._rows = TransactionRows(everything=everything)
         self._findings = Summaries()
         self._number_of_findings = 0
@@ -102,7 +113,7 @@ class ReportRun:
         """Raise UsageError if no code of a rule begins with some text of the filter `codes`."""
         self._check.demand_codes()
 
-    def read(self, watch: WatchChecked = unwatched) -> None:
+    def read(self, watch: Watch = unwatched) -> None:
         """Read the files as far as they can be read.
 
         `watch` passes on the records as they are read, and may show the progress. Raises InputError
@@ -126,6 +137,8 @@ class ReportRun:
         capture `against` cannot be read.
         """
         comparison = None if against is None else self._compared(against, on_remark)
+        if self.guesses:
+            self._values.series = with_guesses(self._values.series, self._values.requests)
         return page(encoded(report_document(self._contents(comparison))))
 
     @property
@@ -146,6 +159,8 @@ class ReportRun:
             self._note_capture()
             if isinstance(record, WireEvent) or isinstance(named, WireEvent):
                 self._note_event(record)
+            elif self._wanted is not None and not self._wanted(record):
+                return
             else:
                 self._values.add(named)
                 self._rows.add(named, _codes_of(named, findings), one.damaged_ns)
@@ -223,6 +238,7 @@ class ReportRun:
             lacking=self._lacking,
             number_lacking=self._number_lacking,
             comparison=comparison,
+            words=self._words,
         )
 
     def _origin(self, file: str) -> FileOrigin:

@@ -8,18 +8,24 @@
 # first, and multiples of 10 and of 16, where areas begin as a rule; from one that can be read, the
 # area is followed to both ends by bisection. With `every`, a refused block is halved down to single
 # registers, which takes up to two requests for each address. An exception 03 means that the block
-# is too long for the device: the blocks are halved from there on. An exception 01 ends the table.
+# is too long for the device: the blocks are halved from there on. An exception 01 ends the table;
+# so does 04 at the first FAILURES addresses tried of a block, if nothing of the unit could be read
+# before.
+#
+# A read without a right answer is repeated, as lines lose frames: _TRIES times in all, each after a
+# pause in which a late answer would come.
 #
 # Only functions 01 to 04, 08/00 and 2B/0E are sent. Nothing is written.
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
 from mbtool.core import Direction
+from mbtool.core.moments import SECOND_NS
 from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.identification import identities
@@ -46,9 +52,13 @@ _PROBES = (
 _IDENTIFICATION = _PROBES[2]
 _LEAST_SAME = 4
 """If so many units of a TCP link give the same answers, one device answers for all."""
+_Unit = Annotated[int, msgspec.Meta(ge=0, le=255)]
+_Address = Annotated[int, msgspec.Meta(ge=0, le=0x10000)]
 _VALUES, _NOTHING = 0, -1
 """How a read ended, beside exception codes: with values; without an answer of any use."""
-_ILLEGAL_FUNCTION, _ILLEGAL_VALUE = 0x01, 0x03
+_ILLEGAL_FUNCTION, _ILLEGAL_VALUE, _DEVICE_FAILURE = 0x01, 0x03, 0x04
+_TRIES = 3
+FAILURES = 8
 MOST_SILENT = 3
 """So many requests in a row without an answer end the scan of a unit that answered before."""
 
@@ -56,7 +66,7 @@ MOST_SILENT = 3
 class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
     """A unit that answered."""
 
-    unit: int
+    unit: _Unit
     sign: str
     """The answer that it gave, as a table shows it."""
     answer: str = ""
@@ -70,21 +80,25 @@ class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
 class FoundArea(msgspec.Struct, kw_only=True, frozen=True):
     """Addresses (on the wire, both included) of one table that a unit lets read."""
 
-    unit: int
-    table: str
-    first: int
-    last: int
+    unit: _Unit
+    table: Table
+    first: _Address
+    last: _Address
 
 
 class ScanState(msgspec.Struct, kw_only=True):
     """What a scan has found and where it stands; also the content of the file of --resume."""
 
     link: str
-    next_unit: int = 0
-    """The place of the next unit to ask in the list of units."""
+    numbers: list[_Unit] = []
+    """The units to ask."""
+    addresses: tuple[_Address, _Address] | None = None
+    """The first and the last address to read; None if no registers are read."""
+    next_unit: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """The place in `numbers` of the next unit to ask."""
     units: list[FoundUnit] = []
     areas: list[FoundArea] = []
-    next_addresses: dict[str, int] = {}
+    next_addresses: dict[str, _Address] = {}
     """The next address to read, by `unit table`; the table is done if it is 65536."""
     remarks: list[str] = []
 
@@ -100,20 +114,24 @@ class Scan:
         is_tcp: bool,
         every: bool = False,
         interval_ns: int = 0,
+        late_ns: int = 0,
     ) -> None:
         """With `every`, each address of a refused block is read. `interval_ns` is the least time
-        from one request to the next, in ns.
+        from one request to the next, and `late_ns` the time in which a late answer may come, in ns.
         """
         self._ask = ask
         self.state = state
         self._is_tcp = is_tcp
         self._every = every
         self._interval_ns = interval_ns
+        self._late_ns = late_ns
         self.asked = 0
         """The number of requests sent."""
         self._next_ns = 0
         self._silent = 0
         """The number of requests without an answer since the last answer."""
+        self._answers: set[int] = set()
+        """How the reads of the last refused block ended."""
         self._limits: dict[tuple[int, int], int] = {}
         """The longest block that a unit lets read, by unit and function code."""
         self._longest: dict[tuple[int, int], int] = {}
@@ -184,9 +202,10 @@ class Scan:
                     self._add(unit, table, at, at + size)
                     at += size
                 else:
+                    self._answers.clear()
                     for first, end in self._within(unit, code, range(at, at + size)):
                         self._add(unit, table, first, end)
-                    at += size
+                    at = at + size if self._can_more(unit) else addresses.stop
                 self.state.next_addresses[key] = at
                 yield table, at
                 if self._silent >= MOST_SILENT:
@@ -194,6 +213,13 @@ class Scan:
                         f"unit {unit} answers no more: {table.value} is not read from {at} on"
                     )
                     return
+
+    def _can_more(self, unit: int) -> bool:
+        """False if the unit has refused each address of the last block with 04, and nothing of it
+        could be read before: then there is probably no such unit.
+        """
+        is_known = any(area.unit == unit for area in self.state.areas)
+        return is_known or self._answers != {_DEVICE_FAILURE}
 
     def _shorter(self, unit: int, code: int, at: int, size: int) -> int:
         """Return a length of a block that is not too long for the unit, if `size` is; 0 if it
@@ -215,11 +241,14 @@ class Scan:
         if self._every:
             yield from self._halves(unit, code, block)
             return
-        done = block.start
+        done, tried = block.start, 0
         for seed in block:
             is_likely = seed == block.start or not seed % 10 or not seed % 16
             if seed < done or not is_likely or self._silent >= MOST_SILENT:
                 continue
+            if tried >= FAILURES and not self._can_more(unit):
+                return
+            tried += 1
             if self._can_read(unit, code, seed, 1):
                 first = self._edge(unit, code, seed, range(done, seed), step=-1)
                 end = self._edge(unit, code, seed, range(seed + 1, block.stop), step=1) + 1
@@ -253,12 +282,12 @@ class Scan:
     def _add(self, unit: int, table: Table, first: int, end: int) -> None:
         """Note that addresses can be read, joined with the area that ends before them."""
         areas = self.state.areas
-        if areas and (areas[-1].unit, areas[-1].table) == (unit, table.value):
+        if areas and (areas[-1].unit, areas[-1].table) == (unit, table):
             last = areas[-1]
             if last.last + 1 == first:
-                areas[-1] = FoundArea(unit=unit, table=table.value, first=last.first, last=end - 1)
+                areas[-1] = msgspec.structs.replace(last, last=end - 1)
                 return
-        areas.append(FoundArea(unit=unit, table=table.value, first=first, last=end - 1))
+        areas.append(FoundArea(unit=unit, table=table, first=first, last=end - 1))
 
     def _can_read(self, unit: int, code: int, first: int, quantity: int) -> bool:
         return self._read(unit, code, first, quantity) == _VALUES
@@ -266,19 +295,25 @@ class Scan:
     def _read(self, unit: int, code: int, first: int, quantity: int) -> int:
         """Read; return _VALUES, the exception code if it is refused, or _NOTHING."""
         pdu = encode_pdu(code, Direction.REQUEST, address=first, quantity=quantity)
-        transaction = self._send(unit, pdu)
+        for _ in range(_TRIES):
+            transaction = self._send(unit, pdu)
+            if transaction.outcome in (Outcome.OK, Outcome.EXCEPTION):
+                break
+            time.sleep(self._late_ns / SECOND_NS)
         self._silent = self._silent + 1 if transaction.outcome is Outcome.NO_ANSWER else 0
+        answer = _NOTHING
         if transaction.outcome is Outcome.EXCEPTION:
-            return transaction.exception or _NOTHING
-        if transaction.outcome is not Outcome.OK:
-            return _NOTHING
-        self._longest[unit, code] = max(quantity, self._longest.get((unit, code), 0))
-        return _VALUES
+            answer = transaction.exception or _NOTHING
+        elif transaction.outcome is Outcome.OK:
+            self._longest[unit, code] = max(quantity, self._longest.get((unit, code), 0))
+            answer = _VALUES
+        self._answers.add(answer)
+        return answer
 
     def _send(self, unit: int, pdu: bytes) -> NamedTransaction:
         wait_ns = self._next_ns - time.monotonic_ns()
         if wait_ns > 0:
-            time.sleep(wait_ns / 1e9)
+            time.sleep(wait_ns / SECOND_NS)
         self._next_ns = time.monotonic_ns() + self._interval_ns
         self.asked += 1
         return self._ask(unit, pdu)
@@ -286,11 +321,10 @@ class Scan:
 
 def final_reads(state: ScanState, unit: int) -> Iterator[bytes]:
     """Yield the PDUs of the requests that read all areas found of a unit, each once."""
-    codes = {table.value: code for table, code in READS_OF_TABLE.items()}
     for area in state.areas:
         if area.unit != unit:
             continue
-        code, at = codes[area.table], area.first
+        code, at = READS_OF_TABLE[area.table], area.first
         while at <= area.last:
             size = min(FUNCTIONS[code].limit, area.last + 1 - at)
             yield encode_pdu(code, Direction.REQUEST, address=at, quantity=size)

@@ -11,7 +11,7 @@ from mbtool.core import SerialLink, UsageError
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignment, Assignments, Profile, Who
 from mbtool.modbus import Transport
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.device import (
     DeviceResponder,
     DrivenDevice,

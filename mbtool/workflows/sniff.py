@@ -29,9 +29,9 @@ from mbtool.core import (
 )
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.ports.host_names import HostLookup
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
@@ -299,20 +299,26 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
     return {link.name: link for link in links if isinstance(link, SerialLink)}
 
 
-def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
+def with_settings(
+    links: Sequence[LinkSpec],
+    on_remark: Callable[[str], None],
+    on_progress: Callable[[str], None] = lambda _: None,
+    wait_s: float | None = None,
+) -> list[LinkSpec]:
     """Return the links; for a link with @auto, find its serial settings by listening.
 
-    This takes up to minutes for each such link. `on_remark` gets a line for the user before and
-    after each search. Raises LinkError if no bytes come, or if no settings can be found from them.
+    This takes up to minutes for each such link, at most `wait_s` seconds if it is given.
+    `on_remark` gets a line for the user before and after each search, `on_progress` one each few
+    seconds. Raises LinkError if no bytes come, or if no settings can be found from them.
     """
-    return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
 
+    def found(link: AutoLink) -> LinkSpec:
+        on_remark(f"finding the settings of {link.name} by listening")
+        settled, sentence = guess_line(link, wait_s=wait_s, on_progress=on_progress)
+        on_remark(sentence)
+        return settled
 
-def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
-    on_remark(f"finding the settings of {link.name} by listening")
-    found, sentence = guess_line(link)
-    on_remark(sentence)
-    return found
+    return [found(link) if isinstance(link, AutoLink) else link for link in links]
 
 
 class Refusals:

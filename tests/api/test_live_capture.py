@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from typing import TYPE_CHECKING
 
@@ -89,3 +90,35 @@ def test_a_wrong_argument_is_refused_before_anything_is_opened(tmp_path: Path) -
 def test_a_capture_is_entered_before_it_is_read() -> None:
     with pytest.raises(RuntimeError, match=r"with mbtool\.sniff"):
         list(mbtool.sniff("net:lo"))
+
+
+def test_a_program_with_asyncio_listens_without_waiting() -> None:
+    async def listen(capture: mbtool.LiveCapture, master: socket.socket) -> list[int | None]:
+        heard: list[int | None] = []
+        ask(master, 1, bytes.fromhex(READ_TWO))
+        async for one in capture:
+            heard.append(one.address)
+            if len(heard) == 3:
+                break
+            ask(master, 1, bytes([3, 0, len(heard), 0, 1]))
+        return heard
+
+    with mbtool.Slave(TOUCH) as slave:
+        tap = f"tap:127.0.0.1:0={slave.host}:{slave.port}"
+        with mbtool.sniff(tap) as capture, master_through(capture) as master:
+            assert asyncio.run(listen(capture, master)) == [0, 1, 2]
+
+
+def test_cancelling_the_task_that_listens_ends_the_listening() -> None:
+    async def listen(capture: mbtool.LiveCapture) -> None:
+        task = asyncio.ensure_future(anext(aiter(capture)))
+        await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    with mbtool.Slave(TOUCH) as slave:
+        tap = f"tap:127.0.0.1:0={slave.host}:{slave.port}"
+        with mbtool.sniff(tap) as capture:
+            asyncio.run(asyncio.wait_for(listen(capture), PATIENCE_S))
+            assert list(capture) == []

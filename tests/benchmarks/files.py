@@ -47,9 +47,6 @@ FIELDS = (
 
 TSHARK = "tshark fields"
 
-WITHOUT_COLUMNS = ("mbtool jsonl", "mbtool csv", "mbtool table")
-"""The programs that need neither numpy nor pyarrow."""
-
 
 @dataclass(frozen=True, slots=True)
 class Cost:
@@ -78,21 +75,11 @@ class FileMeasurement:
 
 
 def measure(
-    packets: int, rounds: int, folder: Path, only: Sequence[str] = (), *, plain: bool = False
+    packets: int, rounds: int, folder: Path, only: Sequence[str] = ()
 ) -> Iterator[list[FileMeasurement]]:
-    """Run each program on each workload; they take turns. Yields the figures of each workload.
-
-    With `plain` mbtool cannot import numpy and pyarrow, and only jsonl, csv and the table are made.
-    """
-    environment = without_columns(folder) if plain else None
+    """Run each program on each workload; they take turns. Yields the figures of each workload."""
     for name, made in workloads(packets, folder, only):
         programs = programs_for(made, folder)
-        if plain:
-            programs = {
-                program: command
-                for program, command in programs.items()
-                if not program.startswith("mbtool") or program in WITHOUT_COLUMNS
-            }
         empty: dict[str, list[str]] = {}
         if made.path.suffix == ".pcap":
             none = make_capture(folder / "empty.pcap", lambda *_: iter(()), 0)
@@ -101,9 +88,9 @@ def measure(
         starts: dict[str, list[float]] = {program: [] for program in programs}
         for _ in range(rounds):
             for program, command in programs.items():
-                costs[program].append(run(command, environment))
+                costs[program].append(run(command))
                 if program in empty:
-                    starts[program].append(run(empty[program], environment).seconds)
+                    starts[program].append(run(empty[program]).seconds)
         measured = []
         for program, found in costs.items():
             seconds = statistics.median(one.seconds for one in found)
@@ -112,15 +99,6 @@ def measure(
             cost = Cost(seconds, peak)
             measured.append(FileMeasurement(name, program, made.packets, cost, start_s))
         yield measured
-
-
-def without_columns(folder: Path) -> dict[str, str]:
-    """The environment of a process in which numpy and pyarrow cannot be imported."""
-    # Python imports sitecustomize when it starts. A module that is None there cannot be found.
-    text = "import sys\nsys.modules.update(numpy=None, pyarrow=None)\n"
-    (folder / "sitecustomize.py").write_text(text, encoding="ascii")
-    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def workloads(packets: int, folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[str, Made]]:
@@ -164,7 +142,6 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
 
 def run(
     command: Sequence[str],
-    environment: dict[str, str] | None = None,
     codes: Sequence[int] = (0,),
 ) -> Cost:
     """Run a command to its end, and return what it needed.
@@ -176,7 +153,6 @@ def run(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         stdin=subprocess.DEVNULL,
-        env=environment,
     ) as process:
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
@@ -211,14 +187,11 @@ def main() -> None:
     parser.add_argument("--packets", type=int, default=PACKETS, help="packets of each workload")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="the median of these counts")
     parser.add_argument("--only", action="append", default=[], help="a workload; repeatable")
-    parser.add_argument("--plain", action="store_true", help="mbtool without numpy and pyarrow")
     options = parser.parse_args()
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     sys.stdout.write(f"{machine}; for serial, packets are bytes\n")
     with tempfile.TemporaryDirectory() as folder:
-        for measured in measure(
-            options.packets, options.rounds, Path(folder), options.only, plain=options.plain
-        ):
+        for measured in measure(options.packets, options.rounds, Path(folder), options.only):
             sys.stdout.write(report(measured))
             sys.stdout.flush()
 

@@ -31,8 +31,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import MAX_RTU_ADU, crc
 from tests.benchmarks.adapters import Column
 from tests.benchmarks.figures import Heard
 

@@ -25,7 +25,7 @@ from mbtool.core import Chunk, SerialLink, parse_link
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogWriter
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 from mbtool.sources.serial_capture import STEP_NS
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.logs.samples import START_NS

@@ -8,8 +8,7 @@ from mbtool.core import Direction, SerialFormat
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.modbus import Adu, Outcome, Transaction, Transport, parse_pdu
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import DirectionBy, crc
 from tests.benchmarks.bus_traffic import (
     EXCEPTIONS,
     RATES,

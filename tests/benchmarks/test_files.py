@@ -12,7 +12,6 @@ from tests.benchmarks.files import (
     FileMeasurement,
     report,
     run,
-    without_columns,
     workloads,
 )
 from tests.columns.both_ways import as_arrays, differences
@@ -59,12 +58,3 @@ def test_the_report_compares_with_tshark() -> None:
     assert lines[1].split()[-3:] == ["10.0", "0.25", "16.0"]
     assert lines[2].split()[-3:] == ["1.0", "1.00", "1.0"]
     assert lines[3].split()[-2:] == ["40", "0.00"]
-
-
-@pytest.mark.parametrize("module", ["numpy", "pyarrow"])
-def test_plain_python_has_no_arrays(module: str, tmp_path: Path) -> None:
-    run([sys.executable, "-c", "import rich"], without_columns(tmp_path))
-    with pytest.raises(RuntimeError, match="exit code 1"):
-        run([sys.executable, "-c", f"import {module}"], without_columns(tmp_path))
-    found = f"import importlib.util; assert importlib.util.find_spec({module!r}) is None"
-    run([sys.executable, "-c", found], without_columns(tmp_path))

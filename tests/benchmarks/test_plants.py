@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import Direction, SerialFormat
 from mbtool.modbus import parse_pdu, rtu_adu
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 from tests.benchmarks.plants import pdus
 from tests.benchmarks.plants.catalog import PLANTS, record
 from tests.benchmarks.plants.delivery import Adapter, delivered

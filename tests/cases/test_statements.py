@@ -22,7 +22,7 @@ from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import DeviceCode
 from mbtool.modbus import Table, ascii_adu, rtu_adu
 from mbtool.slave.device import RegisterImage
-from mbtool.slave.device.units import units_on
+from mbtool.slave.device.responder import units_on
 from mbtool.slave.families import make_device
 from tests.devices.checking.talk import assigned, transaction
 

@@ -17,7 +17,7 @@ from mbtool.core.pseudonyms import Pseudonyms
 from mbtool.logs.reader import LogReader
 from mbtool.logs.writer import LogWriter
 from mbtool.modbus import ascii_adu, rtu_adu
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import read_frame
 from mbtool.packets.link_layer import IP_FINDERS
 from mbtool.packets.segment import find_tcp
 from mbtool.workflows.shared.anonymous_packets import (

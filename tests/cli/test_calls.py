@@ -8,9 +8,9 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from mbtool.cli import decode
 from mbtool.cli.main import run
 from mbtool.views.transaction_table import SAMPLE
+from mbtool.workflows.shared import reading_choice
 from tests.benchmarks.file_workloads import CONNECTIONS, clean, make_capture, make_serial
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def test_a_row_of_a_table_from_arrays_takes_a_tenth_of_the_calls(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few, many = _capture(tmp_path, SAMPLE + FEW), _capture(tmp_path, SAMPLE + MANY)
-    monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
+    monkeypatch.setattr(reading_choice, "WORTH_BYTES", 0)
     assert 3 < _calls_per_transaction(few, many, "table") <= 13
 
 

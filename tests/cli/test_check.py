@@ -9,9 +9,13 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.cli.main import run
+from tests.columns.test_equality import poll
+from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from tests.cli.program import CommandLine
 
 FOLDER = Path(__file__).resolve().parents[2] / "captures"
 SHOWS = str(FOLDER / "findings" / "MB-103.pcap")
@@ -326,3 +330,27 @@ def test_troubles_are_failed_tests_of_junit(tmp_path: Path) -> None:
     assert suite.attrib["failures"] == "0"
     (case,) = suite.iter("testcase")
     assert case.attrib["name"].startswith("Too short to judge")
+
+
+def test_of_many_clean_files_one_line_is_said(mbtool: CommandLine, tmp_path: Path) -> None:
+    talk = Talk()
+    for number in range(25):
+        (tmp_path / f"{number}.pcap").write_bytes(pcap([*talk.handshake(), *poll(talk, 20)]))
+    told = mbtool("check", tmp_path)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.startswith("no findings in 500 transactions. Everything is well")
+    assert len(told.err.splitlines()) == 1
+
+
+def test_of_many_files_only_those_with_a_remark_are_listed(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    talk = Talk()
+    data = pcap([*talk.handshake(), *poll(talk, 20)])
+    for number in range(25):
+        (tmp_path / f"{number}.pcap").write_bytes(data[:-5] if number == 7 else data)
+    told = mbtool("check", tmp_path / "*.pcap")
+    assert told.code == exit_codes.UNREADABLE
+    listed = [line for line in told.err.splitlines() if ".pcap  " in line]
+    assert [line.split()[0] for line in listed] == [str(tmp_path / "7.pcap")]
+    assert "read in part: " in listed[0]

@@ -27,7 +27,7 @@ def test_help_writes_arguments_as_its_usage_line_does(
     help_ = mbtool(*command, "--help").out
     usage, *_ = help_.splitlines()
     _, _, part = help_.partition("\nArguments:\n")
-    listed = re.findall(r"^  (\S+)", part.partition("\nOptions:\n")[0], re.MULTILINE)
+    listed = re.findall(r"^  (\S+(?: \S+)*)", part.partition("\nOptions:\n")[0], re.MULTILINE)
     assert usage == f"Usage: {' '.join(('mbtool', *command, '[OPTIONS]', *listed))}"
     assert not re.search(r"<(?:str|list|path|int|float)", help_, re.IGNORECASE)
 
@@ -39,7 +39,7 @@ def test_help_writes_arguments_as_its_usage_line_does(
         ("check", "FILE..."),
         ("sniff", "LINK..."),
         ("line", "[PATH]..."),
-        ("replay", "FILE"),
+        ("replay", "FILE..."),
     ],
 )
 def test_what_takes_several_says_so(mbtool: CommandLine, command: str, argument: str) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.packets.segment import SYN
+from tests.captures import read_packets
 from tests.logs.samples import chunk, stock_messages, transaction, write_log
 
 if TYPE_CHECKING:
@@ -127,3 +129,57 @@ def test_points_get_topics_of_their_own_only_where_asked(
     assert "no point has a name, so none has a topic; name the devices: --device" in told.err
     told = mbtool("convert", plain, tmp_path / "x.jsonl", "--topic-per-point")
     assert (told.code, told.err.count("\n")) == (exit_codes.USAGE, 1)
+
+
+PLANT = CAPTURES / "plant.pcap"
+
+
+def test_each_slave_gets_a_file_with_its_whole_connections(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    told = mbtool("convert", PLANT, tmp_path / "{device}.pcap")
+    first, second = tmp_path / "10.0.0.11.pcap", tmp_path / "10.0.0.12.pcap"
+    assert told.code == exit_codes.DONE
+    assert told.err == f"50 packets -> {first}\n84 packets -> {second}\n"
+    whole = list(read_packets(PLANT))
+    parts = [list(read_packets(path)) for path in (first, second)]
+    assert sorted(one.ts_ns for part in parts for one in part) == [one.ts_ns for one in whole]
+    for part in parts:
+        assert any(one.data[33] & SYN for one in part)
+    joined = tmp_path / "joined.pcap"
+    assert mbtool("convert", second, first, joined).code == exit_codes.DONE
+    assert [one.data for one in read_packets(joined)] == [one.data for one in whole]
+    assert _rows(mbtool, joined) == _rows(mbtool, PLANT)
+
+
+def _rows(mbtool: CommandLine, path: Path) -> list[object]:
+    rows = [json.loads(line) for line in mbtool("decode", path, "--format", "jsonl").lines]
+    return [{key: row[key] for key in row if key != "file"} for row in rows]
+
+
+def test_a_slave_of_a_serial_line_gets_a_file_by_its_unit(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    told = mbtool("convert", LINE, PLANT, tmp_path / "x-{device}.mcap")
+    assert told.code == exit_codes.DONE
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"x-10.0.0.11.mcap", "x-10.0.0.12.mcap", "x-rs485-unit1.mcap"}
+    of_unit = mbtool("decode", tmp_path / "x-rs485-unit1.mcap", "--raw", "--format", "jsonl").lines
+    assert len(of_unit) == 4
+
+
+def test_a_cut_can_keep_the_whole_connections_of_what_it_chooses(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    out = tmp_path / "x.pcap"
+    chosen = ("--where", "function == 6")
+    assert mbtool("convert", PLANT, out, *chosen).err == f"2 packets -> {out}\n"
+    told = mbtool("convert", PLANT, out, *chosen, "--connections", "--overwrite")
+    assert told.err == f"7 packets -> {out}\n"
+    assert sum(bool(one.data[33] & SYN) for one in read_packets(out)) == 2
+
+
+def test_a_name_with_device_is_for_captures_only(mbtool: CommandLine, tmp_path: Path) -> None:
+    told = mbtool("convert", PLANT, tmp_path / "{device}.csv")
+    assert told.code == exit_codes.USAGE
+    assert "{device} goes with .mcap, .pcap, .pcapng" in told.err

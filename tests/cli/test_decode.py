@@ -224,7 +224,7 @@ def test_prints_what_is_whole_of_a_damaged_log(
     ("data", "more", "why"),
     [
         (pcap([]), [], "empty; there is neither a packet nor a transaction in it"),
-        (capture_file(), ["--port", "1502"], "no Modbus at TCP port 1502; name other ports"),
+        (capture_file(), ["--port", "1502"], "no Modbus at TCP port 1502; --port any looks at all"),
     ],
 )
 def test_says_why_nothing_came(

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import pyarrow.parquet as pq
 import pytest
 
-from mbtool.cli import column_output, decode
+from mbtool.cli import column_output
 from mbtool.core import LinkError
 from mbtool.sources.child import start_child
-from mbtool.workflows.shared import block_processes
+from mbtool.workflows.shared import block_processes, reading_choice
 from tests.columns.disturbed_captures import disturbed
 from tests.columns.sunspec_capture import sunspec_capture
 
@@ -33,7 +33,7 @@ CAPTURES = sorted(path for kind in ("pcap", "pcapng") for path in OWN.glob(f"*.{
 def worth_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prints small files by other processes, too."""
     monkeypatch.setattr(column_output, "WORTH_PROCESSES", 0)
-    monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
+    monkeypatch.setattr(reading_choice, "WORTH_BYTES", 0)
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli import decode
 from mbtool.views.transaction_table import SAMPLE
 from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
@@ -38,13 +37,13 @@ def in_arrays(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             yield block
 
     monkeypatch.setattr(ColumnReading, "_file_blocks", counted)
-    monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
+    monkeypatch.setattr(reading_choice, "WORTH_BYTES", 0)
     return blocks
 
 
 def row_by_row(mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> Said:
     with monkeypatch.context() as patched:
-        patched.setattr(decode, "_WORTH_BYTES", 1 << 40)
+        patched.setattr(reading_choice, "WORTH_BYTES", 1 << 40)
         return mbtool(*arguments)
 
 
@@ -136,15 +135,6 @@ def test_the_first_rows_are_read_row_by_row(
 ) -> None:
     (tmp_path / "a.pcap").write_bytes(disturbed(5))
     assert mbtool("decode", tmp_path / "a.pcap", "--format", "jsonl", "--limit", "3").code == 0
-    assert not in_arrays
-
-
-def test_without_the_extra_lines_are_read_row_by_row(
-    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, in_arrays: list[int]
-) -> None:
-    monkeypatch.setattr(reading_choice, "find_spec", lambda _: None)
-    (tmp_path / "a.pcap").write_bytes(disturbed(5))
-    assert mbtool("decode", tmp_path / "a.pcap", "--format", "jsonl").code == 0
     assert not in_arrays
 
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pyarrow.parquet as pq
 import pytest
 
+from mbtool.api.capture import open_capture
+from mbtool.api.point_rows import PointRow
 from mbtool.cli import printers
 from mbtool.columns.schema import SCHEMA
 from mbtool.logs.exports import csv_columns
@@ -134,3 +136,26 @@ def test_numpy_and_pyarrow_are_loaded_for_parquet_only() -> None:
         subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode
         == 0
     )
+
+
+@pytest.mark.parametrize("arguments", [(), ("--device", "all=fa3-at1m8x")], ids=["plain", "device"])
+def test_points_writes_a_second_file_with_a_row_for_each_value(
+    arguments: tuple[str, ...], mbtool: CommandLine, tmp_path: Path
+) -> None:
+    transactions, values = tmp_path / "a.parquet", tmp_path / "points.parquet"
+    said = mbtool("decode", SETUP, *arguments, "-o", transactions, "--points", values)
+    assert said.code == 0
+    capture = open_capture(SETUP, devices={"all": "fa3-at1m8x"} if arguments else None)
+    expected = [tuple(one) for one in capture.points()]
+    table = pq.read_table(values)
+    assert [tuple(row.values()) for row in table.select(PointRow._fields).to_pylist()] == expected
+    without = mbtool("decode", SETUP, *arguments, "-o", tmp_path / "b.parquet")
+    assert without.code == 0
+    assert pq.read_table(transactions).equals(pq.read_table(tmp_path / "b.parquet"))
+
+
+def test_points_goes_with_parquet_only(mbtool: CommandLine, tmp_path: Path) -> None:
+    said = mbtool("decode", SETUP, "-o", tmp_path / "a.csv", "--points", tmp_path / "b.parquet")
+    assert said.code == 2
+    assert "--points names a second file beside -o OUT.parquet" in said.err
+    assert list(tmp_path.iterdir()) == []

@@ -41,6 +41,7 @@ COMMANDS: dict[str, list[str | Path]] = {
     "watch": ["watch", CAPTURE],
     "report": ["report", CAPTURE, "-o", "report.html"],
     "plot": ["plot", CAPTURE],
+    "find": ["find", CAPTURE, "7"],
     "extcap": ["extcap", "--help"],
     "read": ["read", "tcp:127.0.0.1:1", "holding 0..9"],
     "write": ["write", "tcp:127.0.0.1:1", "holding 0=1", "--yes"],

@@ -43,6 +43,7 @@ COMMANDS = (
     "poll",
     "scan",
     "test",
+    "find",
     "devices",
     "links",
     "doctor",
@@ -154,7 +155,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["sniff", "usb0"], "net:INTERFACE or tap:LISTEN=TARGET\n"),
         (
             ["slave", "fa3-at1m8x", "--on", "usb0"],
-            "link 'usb0': write rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:",
+            "link 'usb0': write rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT, rtu+tcp:",
         ),
         (["sniff", "tap:127.0.0.1:1704=127.0.0.1:1704"], "the tap would call itself"),
         (["sniff", "tap:127.0.0.1:1704=127.0.0.1:0"], "nothing listens at port 0"),
@@ -284,7 +285,10 @@ def test_a_file_that_cannot_be_read_is_one_line(
 def test_a_folder_is_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
     told = mbtool("decode", tmp_path)
     assert told.code == exit_codes.UNREADABLE
-    assert told.err == f"mbtool: {tmp_path}: a directory; name a capture file in it\n"
+    assert (
+        told.err
+        == f"mbtool: {tmp_path}: no capture in this folder: no .pcap, .pcapng, .cap, .mcap\n"
+    )
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read any file")

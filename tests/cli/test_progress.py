@@ -38,6 +38,7 @@ class Halfway:
 
     fraction = 0.5
     progress_text = "file 1 of 2"
+    noun = "transactions"
 
 
 class Strange(Halfway):
@@ -215,6 +216,9 @@ def test_ctrl_c_while_a_slave_is_asked_says_what_it_may_have_taken(
         ["convert", "{}", "x.jsonl"],
         ["convert", "{}", "x.csv"],
         ["convert", "{}", "x.mcap"],
+        ["decode", "*.pcap", "--format", "parquet", "-o", "out/"],
+        ["report", ".", "-o", "x.html"],
+        ["convert", "{}", "x.pcap", "--anonymous"],
         ["devices", "--match", "{}"],
         ["devices", "draft", "{}"],
     ],
@@ -230,12 +234,14 @@ def test_whatever_is_made_of_a_capture_its_reading_is_shown(
             passed.append(record)
             yield record
 
-    for module in ("progress", "decode", "column_output"):
+    for module in ("progress", "decode", "column_output", "decode_job"):
         monkeypatch.setattr(f"mbtool.cli.{module}.with_progress", note)
-    monkeypatch.setattr("mbtool.cli.decode._WORTH_BYTES", 0)
+    monkeypatch.setattr("mbtool.workflows.shared.reading_choice.WORTH_BYTES", 0)
     monkeypatch.setattr("mbtool.cli.column_output.WORTH_PROCESSES", 0)
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "plant.pcap"
     path.write_bytes(pcap(captured(3)))
+    for number in range(2):
+        (tmp_path / f"{number}.pcap").write_bytes(path.read_bytes())
     assert mbtool(*(one.replace("{}", str(path)) for one in command)).code == exit_codes.DONE
     assert sum(getattr(record, "row_count", 1) for record in passed) >= 3

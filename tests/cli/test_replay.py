@@ -33,9 +33,25 @@ def test_a_replay_answers_until_ctrl_c(capture: Path) -> None:
     assert said.startswith(f"{capture}: 1 request to unit 1 on tcp:127.0.0.1:")
     assert (told.code, told.out) == (exit_codes.INTERRUPTED, "")
     assert told.err.splitlines() == [
-        "slave                   asked  recorded  image  profile  never recorded",
-        "127.0.0.1:0                 1         1      0        0               0",
+        "slave                   asked  recorded  image  profile  unknown",
+        "127.0.0.1:0                 1         1      0        0        0",
     ]
+
+
+def test_requests_that_were_never_recorded_are_marked_and_counted(capture: Path) -> None:
+    arguments = ["--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "max", "--print"]
+    other, command = bytes.fromhex("03 ffff 0001"), bytes.fromhex("08 0000 1234")
+    with Program("replay", capture, *arguments) as program:
+        said = program.await_said("Ctrl-C ends")
+        with open_master(TcpLink(endpoint_in(said))) as master:
+            for request in (READ, other, command, other):
+                master.ask(1, request)
+        told = program.end(signal.SIGINT)
+    rows = [line.split("  ", 3)[-1].strip() for line in told.out.splitlines()]
+    marks = [at for at, row in enumerate(rows) if "the request above was never recorded" in row]
+    assert len(marks) == 3
+    assert ["65535" in rows[at - 1] for at in marks] == [True, False, True]
+    assert told.err.splitlines()[-1] == "never recorded: 03 holding 65535 (2 times); 08 (1 time)"
 
 
 def test_several_requests_and_units_are_said_as_such(tmp_path: Path) -> None:

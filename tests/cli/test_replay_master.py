@@ -13,7 +13,7 @@ from mbtool.core import parse_link
 from mbtool.modbus import Response
 from mbtool.slave.shells import open_shell
 from tests.slave.scripted import Scripted
-from tests.workflows.evidence import VALUES
+from tests.workflows.evidence import VALUES, capture_file, capture_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,6 +98,41 @@ def test_ctrl_c_says_that_requests_were_not_asked(
         "interrupted after 0 of 3 requests; 0 answers not as recorded"
     )
     assert 'tests="1" failures="0" errors="1"' in file.read_text()
+
+
+def test_the_last_line_says_that_only_the_times_failed(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "a.pcap"
+    path.write_bytes(capture_file(8))
+    slow = Scripted(lambda *_: Response(VALUES, 30_000_000))
+    with open_shell(parse_link("tcp:127.0.0.1:0"), slow) as shell:
+        play = ("replay", path, "--as-master", "--to", shell.place, "--speed", "max")
+        told = mbtool(*play, "--latency-tolerance", "10")
+    assert told.code == exit_codes.NO
+    assert told.err.splitlines()[-1] == (
+        "8 requests; answers later than allowed to unit 1 03 read holding 0..1"
+    )
+
+
+def test_ranges_are_learned_from_several_recordings(
+    mbtool: CommandLine, capture: Path, wrong: str, tmp_path: Path
+) -> None:
+    other, ranges = tmp_path / "other.pcap", tmp_path / "ranges.txt"
+    read, values = bytes.fromhex("03 0007 0002"), bytes.fromhex("03 04 0000 0001")
+    other.write_bytes(capture_of([(read, values)]))
+    play = ("--as-master", "--to", wrong, "--speed", "max")
+    assert mbtool("replay", capture, other, *play, "--learn", ranges).code == exit_codes.DONE
+    assert ranges.read_text() == "holding 1\nholding 7\n"
+    told = mbtool("replay", capture, other, *play)
+    assert told.code == exit_codes.USAGE
+    assert "one FILE is played; several go with --as-master --learn" in told.err
+
+
+def test_the_unit_that_is_asked_is_told(mbtool: CommandLine, capture: Path, right: str) -> None:
+    play = ("replay", capture, "--as-master", "--to", right, "--speed", "max", "--unit")
+    told = mbtool(*play, "1=9")
+    assert told.code == exit_codes.DONE
+    assert f"to unit 1 (as 9) on {right}" in told.err
+    assert mbtool(*play, "9").err == "mbtool: --unit 9: write RECORDED=UNIT, as in 7=1\n"
 
 
 def test_learned_ranges_are_added_behind_what_a_list_holds(

@@ -1,16 +1,18 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli import exit_codes
 from tests.cli.test_stats import LINE, NETWORK
+from tests.columns.test_equality import poll
+from tests.packets.building import Talk, pcap
 from tests.views.report.pages import Page
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tests.cli.program import CommandLine
 
 
@@ -90,3 +92,53 @@ def test_wrong_usage_is_one_line(
     assert (told.code, told.out) == (exit_codes.USAGE, "")
     assert said in told.err
     assert told.err.count("\n") == 1
+
+
+def test_a_folder_gives_a_line_for_each_file_the_worst_first(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    folder, out = tmp_path / "captures", tmp_path / "r.html"
+    folder.mkdir()
+    talk = Talk()
+    (folder / "a-well.pcap").write_bytes(pcap([*talk.handshake(), *poll(talk, 30)]))
+    (folder / "b-line.mcap").write_bytes(Path(LINE).read_bytes())
+    (folder / "c-plant.pcap").write_bytes(Path(NETWORK).read_bytes())
+    (folder / "d-none.pcap").write_bytes(b"none")
+    told = mbtool("report", folder, "-o", out, "--title", "Hall <3>", "--note", "One\nTwo")
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err.splitlines()[0].startswith("4 files: 1 not read, ")
+    page = out.read_text()
+    names = re.findall(r'class="name"[^>]*>([^<]*)</td>', page)
+    assert names[0] == "d-none.pcap"
+    assert names[1] == "b-line.mcap"
+    assert names[-1] == "a-well.pcap"
+    assert "<title>Hall &lt;3&gt;</title>" in page
+    assert "<p class=words>One</p><p class=words>Two</p>" in page
+    assert mbtool("report", folder, "-o", out, "--all").code == exit_codes.USAGE
+
+
+def test_a_page_of_a_folder_shows_no_text_as_markup(tmp_path: Path, mbtool: CommandLine) -> None:
+    folder, out = tmp_path / "captures", tmp_path / "r.html"
+    folder.mkdir()
+    (folder / "<b>x.pcap").write_bytes(Path(NETWORK).read_bytes())
+    assert mbtool("report", folder, "-o", out).code == exit_codes.DONE
+    page = out.read_text()
+    assert "&lt;b&gt;x.pcap" in page
+    assert "<b>" not in page
+    assert "<script" not in page
+
+
+def test_a_page_can_be_about_chosen_transactions_with_words_of_ones_own(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    out = tmp_path / "r.html"
+    words = ("--title", "Hall 3", "--note", "Look at </script> unit 1.")
+    told = mbtool("report", LINE, "-o", out, "--where", "function == 3", *words)
+    assert told.code == exit_codes.DONE
+    document = Page(out.read_text()).document
+    rows = mbtool("decode", LINE, "--format", "jsonl", "--where", "function == 3").lines
+    assert document["stats"]["transactions"] == len(rows) < 11
+    assert len(document["transactions"]["rows"]) == len(rows)
+    assert document["words"] == {
+        "title": "Hall 3", "note": "Look at </script> unit 1.", "where": "function == 3",
+    }  # fmt: skip

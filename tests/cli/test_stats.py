@@ -142,3 +142,18 @@ def test_a_filter_makes_no_trouble_of_the_events_of_others(mbtool: CommandLine) 
     blamed = "! if0 has 1 frame with a wrong CRC that no unit can be blamed for"
     assert blamed in mbtool("stats", damaged, "--where", "unit > 0").out
     assert blamed not in mbtool("stats", damaged, "--where", "number == 1").out
+
+
+def test_the_name_of_a_rotated_log_stands_for_its_parts(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    for number in (1, 2):
+        (tmp_path / f"week-{number:04}.mcap").write_bytes(LINE.read_bytes())
+    parts = mbtool("stats", "--json", *sorted(tmp_path.glob("week-*.mcap")))
+    whole = mbtool("stats", "--json", tmp_path / "week.mcap")
+    assert whole.code == parts.code == exit_codes.DONE
+    drop = ("sources",)
+    one, other = (json.loads(each.out) for each in (whole, parts))
+    assert {key: one[key] for key in one if key not in drop} == {
+        key: other[key] for key in other if key not in drop
+    }

@@ -16,6 +16,7 @@ from mbtool.cli.talk import (
     interruption_told,
     redrawn_line,
     say,
+    shown_progress,
 )
 from tests.cli.program import PATIENCE_S
 
@@ -136,3 +137,25 @@ def test_an_interruption_says_what_was_kept(capsys: pytest.CaptureFixture[str]) 
     with interruption_told():
         pass
     assert capsys.readouterr().err == ""
+
+
+def test_progress_is_one_line_of_a_terminal_that_is_erased_at_the_end(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with shown_progress() as show:
+        show("unit 1")
+        say("found")
+        show("unit\n2")
+    erase = "\r\x1b[K"
+    assert capsys.readouterr().err == f"{erase}unit 1{erase}found\n{erase}unit\\n2{erase}"
+
+
+def test_progress_is_said_now_and_then_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for least_s, told in ((None, ""), (0.0, "unit 1\nunit 2\n"), (3600.0, "")):
+        with shown_progress(least_s) as show:
+            show("unit 1")
+            show("unit 2")
+        assert capsys.readouterr().err == told

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbtool.core import Direction
+from mbtool.core import Direction, EventKind
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.packets.segment import ACK, FIN
 from tests.captures import public_folder
-from tests.columns.both_ways import as_arrays, damaged, differences, generated
+from tests.columns.both_ways import as_arrays, blocks_of, damaged, differences, generated
 from tests.columns.disturbed_captures import disturbed
 from tests.packets.building import Pcapng, Talk, pcap
 
@@ -101,6 +101,40 @@ def test_a_request_in_two_segments_and_segments_sent_again_are_read_as_arrays() 
     again = [one for one in packets[3:] for _ in range(2)]
     assert differences(pcap(packets[:3] + again)) == []
     assert as_arrays(pcap(packets[:3] + again)).plain == 16 - 2  # A single byte may be a probe.
+
+
+def test_late_retransmissions_and_late_parts_are_told_both_ways() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 3)]
+    for number in range(4):
+        request = talk.request(mbap_adu(number, 17, READ))
+        talk.ts_ns += 210_000_000
+        packets += [request, replace(request, ts_ns=talk.ts_ns)]
+        packets.append(talk.response(mbap_adu(number, 17, VALUES)))
+    for wait_ms in (1, 40, 200):
+        request_bytes = mbap_adu(wait_ms, 17, READ)
+        packets.append(talk.request(request_bytes[:6]))
+        talk.ts_ns += wait_ms * 1_000_000
+        packets.append(talk.request(request_bytes[6:]))
+        packets.append(talk.response(mbap_adu(wait_ms, 17, VALUES)))
+    capture = pcap([*packets, *poll(talk, 3)])
+    assert differences(capture) == []
+    read = as_arrays(capture)
+    assert [one.kind for one in read.events].count(EventKind.SENT_AGAIN) == 4
+    parts = [ns for ns in read.table["request_parts_ns"].to_pylist() if ns is not None]
+    assert parts == [41_000_000, 201_000_000]
+
+
+def test_responses_of_another_mac_address_are_told_both_ways() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 6)]
+    own, other = bytes.fromhex("020000000001"), bytes.fromhex("020000000066")
+    packets = [replace(one, data=own + own + one.data[12:]) for one in packets]
+    for at in (6, 10):  # Two of the responses.
+        packets[at] = replace(packets[at], data=own + other + packets[at].data[12:])
+    assert differences(pcap(packets)) == []
+    told = as_arrays(pcap(packets)).table["response_mac"].to_pylist()
+    assert set(told) == {None, "02:00:00:00:00:66"}
 
 
 MASKS = {"address": 7, "and_mask": 1, "or_mask": 2}
@@ -369,3 +403,22 @@ def test_captures_made_by_others_give_equal_results(public_captures: Path) -> No
             if found:
                 differing[path.name] = found
     assert differing == {}
+
+
+@pytest.mark.parametrize("in_one_segment", [True, False])
+def test_pipelined_requests_are_rows_although_the_decoder_reads_them(in_one_segment: bool) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 2)]
+    for number in range(0, 120, 3):
+        asked = [mbap_adu(10 + number + one, 17, READ) for one in range(3)]
+        told = [mbap_adu(10 + number + one, 17, VALUES) for one in range(3)]
+        if in_one_segment:
+            packets += [talk.request(b"".join(asked)), talk.response(b"".join(told))]
+        else:
+            packets += [*map(talk.request, asked), *map(talk.response, told)]
+    packets += poll(talk, 2)
+    capture = pcap(packets)
+    assert differences(capture) == []
+    blocks, _, _ = blocks_of(capture)
+    rows = sum(len(one.plain.request) for one in blocks if one.plain is not None)
+    assert rows >= 120

@@ -15,7 +15,7 @@ from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.quiet_rows import BlockRows, QuietParts
 from mbtool.core import Direction, InputError
 from mbtool.decode.decoder import Decoder
-from mbtool.devices import Namer
+from mbtool.devices import NamedTransaction, Namer
 from mbtool.ledger import account, distribution, observation, poll_statistics, request_order
 from mbtool.ledger.account import Account
 from mbtool.ledger.answered_run import AnsweredRun
@@ -182,3 +182,23 @@ def test_durations_added_together_are_counted_as_one_by_one() -> None:
         assert [getattr(one, name) for name in one.__slots__] == [
             getattr(together, name) for name in one.__slots__
         ]
+
+
+def test_a_group_of_requests_knows_the_packets_of_each() -> None:
+    capture = several_polls()
+    packets = {
+        (one.link, one.request_ns): (one.request_packet, one.response_packet)
+        for one in packet_by_packet(capture)
+        if isinstance(one, NamedTransaction)
+    }
+    with patch.object(quiet_rows, "FEWEST", 3):
+        groups = [
+            kind
+            for part in in_runs(capture)
+            if isinstance(part, AnsweredRun)
+            for kind in part.kinds
+        ]
+    assert sum(kind.count for kind in groups) > 20
+    for kind in groups:
+        for index, at_ns in enumerate(kind.request_ns):
+            assert kind.packets(index) == packets[kind.like.link, at_ns]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mbtool.core.events import ConnectionEnd, EventKind, WireEvent
+from mbtool.core.evidence import ConnectionEnd, EventKind, WireEvent
 
 
 def test_event_kinds_keep_the_values_that_logs_contain() -> None:

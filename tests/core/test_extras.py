@@ -36,7 +36,7 @@ def test_where_pip_is_not_installed_that_of_the_system_installs(
 
 
 def test_an_error_names_the_extra_and_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted = ["rich>=13", "textual<9,>=8.2; extra == 'watch'", "numpy; extra == 'columns'"]
+    wanted = ["rich>=13", "textual<9,>=8.2; extra == 'watch'", "pyarrow; extra == 'columns'"]
     monkeypatch.setattr("importlib.metadata.requires", lambda _: wanted)
     text = str(extras.missing_extra("watch", "watch"))
     assert text.startswith("watch needs the extra mbtool[watch]: ")

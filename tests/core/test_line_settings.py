@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core.errors import UsageError
-from mbtool.core.line_settings import LineSettings, parse_line
-from mbtool.core.link_spec import SerialLink
+from mbtool.core.link_spec import LineSettings, SerialLink, parse_line
 from mbtool.core.serial_format import SerialFormat
 
 

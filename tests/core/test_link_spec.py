@@ -18,8 +18,7 @@ from mbtool.core.link_spec import (
     TcpLink,
     parse_link,
 )
-from mbtool.core.serial_format import SerialFormat
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import SerialFormat, Silence
 
 E8 = SerialFormat(19200, 8, "E", 1)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core.errors import UsageError
-from mbtool.core.serial_format import SerialFormat
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import SerialFormat, Silence
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core.errors import UsageError
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import Silence
 
 
 @pytest.mark.parametrize(

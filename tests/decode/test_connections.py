@@ -6,8 +6,7 @@ from mbtool.core import Connection, Direction, Endpoint, EventKind, SerialFormat
 from mbtool.decode import Bus, ConnectionDecoder
 from mbtool.decode.network_pairing import TIMEOUT_NS
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
-from mbtool.modbus.adu import Adu
-from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.modbus.transaction import Outcome, Transaction
 from tests.adversary.judgement import decode

@@ -10,7 +10,7 @@ from mbtool.decode.protocol_detection import (
     MAX_NOISE,
     MAX_UNDECIDED_BYTES,
 )
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import mbap_adu, rtu_adu
 from tests.decode.test_protocol_detection import (
     CONNECTION,
     LONG_READ,

@@ -9,8 +9,7 @@ from mbtool.core import Direction
 from mbtool.decode.network_pairing import DOUBTFUL, NetworkPairing
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import Ends
-from mbtool.modbus.adu import Verdict
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import Verdict, mbap_adu
 from mbtool.modbus.transaction import Outcome, Transaction
 from tests.decode.test_connections import ANSWER as VALUE
 from tests.decode.test_connections import READ as READ_ONE

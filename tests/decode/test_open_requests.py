@@ -7,8 +7,7 @@ from msgspec.structs import replace
 
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.stream_progress import AduPlace
-from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import Adu, Transport, mbap_adu
 from tests.decode.test_pairing import asked, told
 
 READ = "03 006B 0002"

@@ -7,8 +7,7 @@ from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.order_doubt import MAX_IDS, MAX_SHIFT, OrderDoubt
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.framing import MbapSplitter
-from mbtool.modbus.adu import Adu
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import Adu, mbap_adu
 
 SIZES = (2, 10, 64)
 

@@ -18,8 +18,7 @@ from mbtool.decode.protocol_detection import (
     MAX_UNDECIDED_BYTES,
     ProvenSlaves,
 )
-from mbtool.modbus.adu import Verdict
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Transport, Verdict, mbap_adu, rtu_adu
 from mbtool.modbus.transaction import Outcome
 from tests.modbus.reading import adus, transactions, wire_events
 
@@ -209,10 +208,20 @@ def test_if_modbus_is_expected_a_gap_does_not_speak_against_it() -> None:
     assert (gap.kind, detector.state) == (EventKind.GAP, ProtocolState.MODBUS)
 
 
-def test_rtu_at_a_modbus_tcp_port_is_reported_with_the_option_for_it() -> None:
-    # Unit 1, function 03, address 300H: no protocol id.
-    request, response = bytes.fromhex("03 0300 0001"), bytes.fromhex("03 02 0007")
-    decoded = fed(expected(), [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))])
+@pytest.mark.parametrize("address", ["0000", "0300"])
+def test_rtu_at_a_modbus_tcp_port_is_decoded_as_what_it_is(address: str) -> None:
+    # With address 0 and quantity 2 the request is an ADU of Modbus/TCP, too.
+    request, response = bytes.fromhex(f"03 {address} 0002"), bytes.fromhex("03 04 0007 0008")
+    pair: list[Piece] = [(REQUEST, rtu_adu(1, request)), (RESPONSE, rtu_adu(1, response))]
+    for size in (1, 5, 99):
+        (one,) = transactions(fed(expected(), in_pieces(pair, size)))
+        assert (one.transport, one.unit, one.response_values) == (Transport.RTU_TCP, 1, [7, 8])
+
+
+def test_rtu_that_begins_in_the_middle_at_a_modbus_tcp_port_is_named_with_its_option() -> None:
+    answer = rtu_adu(1, bytes.fromhex("03 04 0007 0008"))
+    detector = expected()
+    decoded = [*fed(detector, [(RESPONSE, answer)]), *detector.close()]
     assert is_one_event(decoded)
     assert "--rtu-port" in wire_events(decoded)[0].message
 

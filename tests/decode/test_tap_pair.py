@@ -13,8 +13,7 @@ from mbtool.core.limits import MAX_CLOCK_STEP_NS
 from mbtool.decode import Decoded, TapPair
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
 from mbtool.decode.tap_pair import LOOKAHEAD_NS, MAX_HELD, MISPLACED_FRAMES
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import ascii_adu, rtu_adu
+from mbtool.modbus.adu import DirectionBy, ascii_adu, rtu_adu
 from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line.rtu import WINDOW

@@ -11,8 +11,7 @@ from mbtool.devices.loading import load_profile
 from mbtool.devices.model import FunctionRule, Point
 from mbtool.devices.naming import _MAX_CACHED, Namer
 from mbtool.devices.wording import describe, describe_points
-from mbtool.modbus.adu import Transport, Verdict
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import Transport, Verdict, mbap_adu
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome, Transaction
 from tests.devices.transactions import transaction

@@ -12,7 +12,7 @@ from jsonschema import Draft7Validator
 
 import mbtool.devices
 from mbtool.core import UsageError
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import Silence
 from mbtool.devices.loading import builtin_profiles, load_profile, profile_to_json
 from mbtool.devices.model import Profile
 from mbtool.devices.schema import profile_schema

@@ -148,7 +148,8 @@ WRONG = [
     ('"holding_registers"\nfirst', '"registers"\nfirst',
      'areas "data".table: expected one of coils, discrete_inputs, holding_registers, '
      "input_registers, not 'registers'"),
-    ('["rtu"]', '["usb"]', "transports[0]: expected one of rtu, ascii, tcp, rtu-tcp, not 'usb'"),
+    ('["rtu"]', '["usb"]',
+     "transports[0]: expected one of rtu, ascii, tcp, rtu-tcp, udp, rtu-udp, not 'usb'"),
     ("last = 9", "last = 9\nradix = 'octal'",
      "areas \"data\".radix: expected one of decimal, hex, octal-digit, not 'octal'"),
     ("address = 3", "address = 3\ntype = 'word'",

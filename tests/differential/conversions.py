@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import CutError, MbtoolError, WireEvent
-from mbtool.packets.serial_packets import RTAC_SERIAL
+from mbtool.packets.line_packets import RTAC_SERIAL
 from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow

@@ -13,7 +13,7 @@ import pytest
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Outcome, Verdict
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 from tests.captures import public_folder, read_packets
 from tests.cli.program import CommandLine
 from tests.packets.building import cut, pcap

@@ -14,7 +14,7 @@ const puppeteer = require("puppeteer-core");
 const axe = await readFile(require.resolve("axe-core/axe.min.js"), "utf8");
 const [site, pictures] = process.argv.slice(2);
 const PAGES = [
-  "index", "install", "start/integrator", "start/security", "commands", "two-wire", "strategies",
+  "index", "install", "start/integrator", "start/security", "commands", "rs485", "replay",
   "adding-a-device", "comparison", "findings",
 ];
 const TYPES = { ".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml" };

@@ -6,9 +6,10 @@ the times of the bytes of a serial line as CSV, as a logic analyser exports them
 
 from __future__ import annotations
 
+import struct
 from random import Random
 
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 
 BAUD = 9600
 CHARACTER_S = 11 / BAUD
@@ -90,5 +91,33 @@ def _day(*, is_good: bool) -> str:
     return line.text()
 
 
-CAPTURES = {"trouble": trouble, "good-day": good_day, "bad-day": bad_day}
+def heat_meter() -> str:
+    """A meter of unit 3: temperatures, power as a float, energy in 32 bits, a set point, texts."""
+    line, chance = _Line(), Random("heat meter")
+    setpoint = 450
+    for cycle in range(90):
+        flow, back = 614 + cycle // 3 + chance.randrange(3), 395 + chance.randrange(4)
+        power = struct.unpack(">HH", struct.pack(">f", 8.2 + 0.4 * chance.random()))
+        energy = 1_178_900 + 17 * cycle
+        line.ask("03 0000 000c", unit=3).wait(22 + 4 * chance.random())
+        line.frame(
+            _registers(
+                flow, back, flow - back, 1 + (cycle > 40), *power[::-1],
+                energy & 0xFFFF, energy >> 16, setpoint, 0, 0, 21,
+            ),
+            unit=3,
+        )  # fmt: skip
+        if cycle == 52:
+            setpoint = 480
+            line.ask("06 0008 01e0", unit=3).wait(20).frame("06 0008 01e0", unit=3)
+        line.wait(900)
+    return line.text()
+
+
+CAPTURES = {
+    "trouble": trouble,
+    "good-day": good_day,
+    "bad-day": bad_day,
+    "heat-meter": heat_meter,
+}
 """By the name that a page gives."""

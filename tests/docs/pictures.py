@@ -1,7 +1,8 @@
 """Draws the pictures of the pages from the program's own output: python -m tests.docs.pictures.
 
-docs/pictures/decode.svg is the output of `mbtool decode`, docs/pictures/watch.svg a frame of
-`mbtool watch`. rich draws both; its reference to a font on a network is left out.
+docs/pictures/decode.svg is the output of `mbtool decode`, site.svg that of a replay of a whole
+plant, watch.svg a frame of `mbtool watch`. rich draws them; its reference to a
+font on a network is left out.
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ import asyncio
 import io
 import os
 import re
+import signal
+import socket
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +57,35 @@ async def watch_picture() -> str:
         return _plain(seen.app.export_screenshot(title="mbtool watch plant.pcap"))
 
 
+def site_picture() -> str:
+    """A plant that is played, asked twice, and what it says at the end."""
+    command = ["replay", "plant.pcap", "--as-slave", "--on", "all=tcp:127.0.0.0/24:1502", "--print"]
+    asked = (("127.0.0.12", 2, 4, 0, 2), ("127.0.0.11", 1, 3, 200, 1))
+    with subprocess.Popen(
+        [sys.executable, "-m", "mbtool", *command],
+        cwd=_WATCHED.parent,
+        env={**os.environ, "FORCE_COLOR": "1", "TERM": "xterm-256color", "COLUMNS": "84"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as player:
+        assert player.stdout is not None
+        lines: list[str] = []
+        while "Ctrl-C ends" not in "".join(lines):
+            lines.append(player.stdout.readline())
+        for host, unit, function, address, quantity in asked:
+            with socket.create_connection((host, 1502)) as master:
+                pdu = struct.pack(">BHH", function, address, quantity)
+                master.sendall(struct.pack(">HHHB", 1, 0, len(pdu) + 1, unit) + pdu)
+                master.recv(260)
+        player.send_signal(signal.SIGINT)
+        lines.append(player.stdout.read().replace("interrupted\n", ""))
+    console = Console(record=True, width=84, file=io.StringIO(), force_terminal=True)
+    console.print(f"[bold]$ mbtool {' '.join(command)}[/]", highlight=False)
+    console.print(Text.from_ansi("".join(lines).rstrip()))
+    return _plain(console.export_svg(title="mbtool replay", unique_id="site"))
+
+
 def _plain(svg: str) -> str:
     svg = re.sub(r"<!--.*?-->", "", _FONT.sub("", svg)).replace("Fira Code, monospace", _FONTS)
     svg = re.sub(r"terminal-\d+-", "watch-", svg)
@@ -62,6 +95,7 @@ def _plain(svg: str) -> str:
 def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / "decode.svg").write_text(decode_picture())
+    (FOLDER / "site.svg").write_text(site_picture())
     (FOLDER / "watch.svg").write_text(asyncio.run(watch_picture()))
 
 

@@ -36,6 +36,9 @@ _LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?=[)#])")
 _LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src"}
 _BOX = re.compile(r"<pre(?=[^>]*>(?:<span></span>)?<code)")
 _NAME = re.compile(r"<code>(?=[^<\s]{1,24}</code>)")
+_FOREIGN_SHIM = "https://unpkg.com/iframe-worker/shim"
+"""The script by which zensical's plugin `offline` lets a page on disk search; it would come from a
+network."""
 _ORDER = re.compile(r"^<!-- console: .*? -->\n", re.MULTILINE | re.DOTALL)
 
 
@@ -75,6 +78,10 @@ def build() -> None:
         # Boxes and tables wider than the page scroll, so the keyboard must reach them.
         text = _BOX.sub(r'<pre tabindex="0"', page.read_text())
         text = text.replace("<table>", '<table tabindex="0">')
+        # The search of pages that are opened from disk.
+        text = text.replace(
+            _FOREIGN_SHIM, os.path.relpath(SITE / "worker-from-disk.js", page.parent)
+        )
         page.write_text(_NAME.sub('<code class="name">', text))
 
 

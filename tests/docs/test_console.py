@@ -15,7 +15,7 @@ from tests.docs.normalising import NOT_RUN, agrees
 ROOT = Path(__file__).parents[2]
 LANGUAGES = {"console", "sh", "python", "text", "toml", "csv", "json", "yaml", "ini", "sql"}
 FENCED = re.compile(
-    r"^(?:<!-- console: (?P<words>.*?) -->\n)?"
+    r"^(?:<!-- console: (?P<words>[^\n]*?) -->\n)?"
     r"```(?P<language>\w*)[^\n]*\n(?P<body>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )

@@ -13,7 +13,8 @@ import pytest
 from mbtool.version import __version__
 from tests.docs import pictures
 from tests.docs.man_page import man_page
-from tests.docs.site import OTHERS
+from tests.docs.searching import found
+from tests.docs.site import OTHERS, SITE
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = (ROOT / "docs" / "mkdocs.yml").read_text()
@@ -31,7 +32,9 @@ def test_every_page_is_in_the_navigation() -> None:
 
 
 @pytest.mark.skipif(not ZENSICAL.exists(), reason="zensical is not installed: make docs")
-def test_the_site_builds_without_a_warning_a_dead_link_or_a_load_from_a_network() -> None:
+def test_the_site_builds_without_a_dead_link_or_a_load_from_a_network_and_can_be_searched(
+    tmp_path: Path,
+) -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "tests.docs.site"],
         cwd=ROOT,
@@ -40,6 +43,19 @@ def test_the_site_builds_without_a_warning_a_dead_link_or_a_load_from_a_network(
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
+    for from_disk in (True, False):
+        folder = tmp_path / str(from_disk)
+        protocol, result = found(SITE, folder, "anonymous", from_disk=from_disk)
+        assert protocol == ("file:" if from_disk else "http:")
+        assert "A copy that does not show the plant" in result
+
+
+def test_the_picture_of_a_plant_shows_what_was_never_recorded() -> None:
+    words = re.sub(r"<[^>]*>|&#160;", " ", (pictures.FOLDER / "site.svg").read_text())
+    text = " ".join(words.split())
+    assert "10.0.0.12: 3 different requests to units 1, 2 on tcp:127.0.0.12:1502" in text
+    assert "unrecorded: the request above was never recorded" in text
+    assert "never recorded of 10.0.0.11: 03 holding 200 (1 time)" in text
 
 
 def test_the_picture_of_decode_is_its_output() -> None:

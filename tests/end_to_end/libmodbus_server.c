@@ -1,4 +1,5 @@
-/* A Modbus/TCP server of libmodbus on a free port of 127.0.0.1, which it prints.
+/* A Modbus/TCP server of libmodbus on a free port of 127.0.0.1, which it prints; or, with a serial port
+ * as its argument, an RTU slave with unit 1 at 19200-8N1.
  *
  * It answers one connection after another until it is killed. After each request its input registers
  * count up and its discrete inputs rotate, so that a poll seldom brings what the one before brought.
@@ -39,27 +40,42 @@ static int listen_anywhere(void)
     return listener;
 }
 
-int main(void)
+static void serve(modbus_t *server, modbus_mapping_t *tables)
 {
-    modbus_t *server = modbus_new_tcp("127.0.0.1", 0);
+    uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
+    int length;
+    while ((length = modbus_receive(server, request)) >= 0) {
+        if (length > 0 && modbus_reply(server, request, length, tables) < 0)
+            break;
+        change(tables);
+    }
+}
+
+int main(int count, char **arguments)
+{
+    int is_serial = count > 1;
+    modbus_t *server = is_serial ? modbus_new_rtu(arguments[1], 19200, 'N', 8, 1)
+                                 : modbus_new_tcp("127.0.0.1", 0);
     modbus_mapping_t *tables = modbus_mapping_new(SIZE, SIZE, SIZE, SIZE);
-    int listener = listen_anywhere();
+    int listener = is_serial ? 0 : listen_anywhere();
     if (server == NULL || tables == NULL || listener < 0)
         return 1;
     for (int i = 0; i < SIZE; i++) {
         tables->tab_input_bits[i] = i % 3 == 0;
         tables->tab_input_registers[i] = tables->tab_registers[i] = 100 * i;
     }
+    if (is_serial) {
+        if (modbus_set_slave(server, 1) || modbus_connect(server))
+            return 1;
+        printf("listening on port 0\n");
+        fflush(stdout);
+        for (;;)
+            serve(server, tables);
+    }
     for (;;) {
-        uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
-        int length;
         if (modbus_tcp_accept(server, &listener) < 0)
             return 1;
-        while ((length = modbus_receive(server, request)) >= 0) {
-            if (length > 0 && modbus_reply(server, request, length, tables) < 0)
-                break;
-            change(tables);
-        }
+        serve(server, tables);
         modbus_close(server);
     }
 }

@@ -8,18 +8,22 @@ import shlex
 import socket
 import struct
 import subprocess
-from contextlib import contextmanager
+import sys
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from pymodbus import FramerType
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.server import ModbusTcpServer, ModbusTlsServer
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusUdpClient
+from pymodbus.server import ModbusTcpServer, ModbusTlsServer, ModbusUdpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+import mbtool as api
 from tests.end_to_end.programs import PATIENCE_S, Program, required
+from tests.end_to_end.slaves_of_others import BAUD as SLAVE_BAUD
+from tests.end_to_end.slaves_of_others import NEEDS, library_of
 
 if TYPE_CHECKING:
     import ssl
@@ -92,6 +96,26 @@ def tcp_client(port: int, host: str = "127.0.0.1") -> Iterator[tuple[ModbusTcpCl
 
 
 @contextmanager
+def udp_client(
+    port: int, framer: FramerType = FramerType.SOCKET
+) -> Iterator[tuple[ModbusUdpClient, Wire]]:
+    wire = Wire()
+    client: Any = ModbusUdpClient(
+        "127.0.0.1",
+        port=port,
+        framer=framer,
+        timeout=PATIENCE_S,
+        retries=0,
+        trace_packet=wire.trace,
+    )
+    assert client.connect()
+    try:
+        yield client, wire
+    finally:
+        client.close()
+
+
+@contextmanager
 def rtu_client(port: str, baud: int) -> Iterator[tuple[ModbusSerialClient, Wire]]:
     wire = Wire()
     client: Any = ModbusSerialClient(
@@ -127,7 +151,7 @@ class SecuredClient(ModbusTcpClient):
 
 @contextmanager
 def pymodbus_server(
-    tls: ssl.SSLContext | None = None,
+    tls: ssl.SSLContext | None = None, udp: FramerType | None = None
 ) -> Iterator[tuple[int, Callable[[], None]]]:
     """A server's port, and what changes its inputs."""
     loop = asyncio.new_event_loop()
@@ -137,8 +161,12 @@ def pymodbus_server(
     def call(coroutine: Any) -> Any:
         return asyncio.run_coroutine_threadsafe(coroutine, loop).result(PATIENCE_S)
 
-    async def serve() -> ModbusTcpServer:
+    async def serve() -> ModbusTcpServer | ModbusUdpServer:
         address = ("127.0.0.1", 0)
+        if udp is not None:
+            datagrams = ModbusUdpServer(_device(), framer=udp, address=address)
+            await datagrams.serve_forever(background=True)
+            return datagrams
         server = (
             ModbusTcpServer(_device(), address=address)
             if tls is None
@@ -159,7 +187,10 @@ def pymodbus_server(
         call(context.async_setValues(UNIT, DISCRETE_INPUTS_FUNCTION, 0, bits))
 
     try:
-        yield server.transport.sockets[0].getsockname()[1], change
+        if udp is None:
+            yield server.transport.sockets[0].getsockname()[1], change
+        else:
+            yield server.transport.get_extra_info("sockname")[1], change
     finally:
         call(server.shutdown())
         loop.call_soon_threadsafe(loop.stop)
@@ -182,8 +213,28 @@ def _device() -> SimDevice:
 
 
 @contextmanager
-def libmodbus_server(folder: Path) -> Iterator[tuple[int, Callable[[], None]]]:
-    """A server's port; it changes its inputs by itself."""
+def slave_of_another(kind: str) -> Iterator[str]:
+    """The LINK of a slave of another library (slaves_of_others.py)."""
+    module, package = NEEDS[library_of(kind)]
+    pytest.importorskip(module, reason=f"needs {package}: pip install {package}")
+    mode = kind.rpartition("-")[2]
+    with ExitStack() as stack:
+        ends: tuple[str, ...] = ()
+        if mode in ("rtu", "ascii"):
+            line = stack.enter_context(api.line(f"{mode}@{SLAVE_BAUD}-8N1"))
+            ends = (line.ports[1],)
+        command = (sys.executable, "-m", "tests.end_to_end.slaves_of_others", kind, *ends)
+        slave = stack.enter_context(Program(*command))
+        place = slave.printed.find(r"listening on (\S+)")[1]
+        scheme = "rtu+tcp" if kind.endswith("-rtu-tcp") else "tcp"
+        yield line.link(0) if ends else f"{scheme}:127.0.0.1:{place}"
+
+
+@contextmanager
+def libmodbus_server(
+    folder: Path, serial_port: str = ""
+) -> Iterator[tuple[int, Callable[[], None]]]:
+    """A server's port, 0 if it is on a serial one; it changes its inputs by itself."""
     compiler, finder = required("gcc", "gcc"), required("pkg-config", "pkg-config")
     found = subprocess.run(
         [finder, "--cflags", "--libs", "libmodbus"], capture_output=True, text=True, check=False
@@ -194,8 +245,8 @@ def libmodbus_server(folder: Path) -> Iterator[tuple[int, Callable[[], None]]]:
     program = folder / "libmodbus_server"
     flags = ["-Wall", "-Wextra", "-Werror", *shlex.split(found.stdout)]
     subprocess.run([compiler, source, "-o", program, *flags], check=True)
-    with Program(str(program)) as server:
-        yield int(server.printed.find(r"tcp:127\.0\.0\.1:(\d+)")[1]), lambda: None
+    with Program(str(program), *([serial_port] if serial_port else [])) as server:
+        yield int(server.printed.find(r"listening on .*\b(\d+)")[1]), lambda: None
 
 
 class RawTcpMaster:

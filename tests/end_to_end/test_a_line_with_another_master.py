@@ -18,6 +18,7 @@ from tests.end_to_end.test_troubles_of_real_masters import RawSlave, poll
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from mbtool.api.serial_bench import SerialBench
 
@@ -105,3 +106,30 @@ def test_a_pause_that_is_too_short_is_told(polled: Polled) -> None:
         assert program.wait() == 3
     assert "needs a pause of 2.0" in program.said.text
     assert "A shorter --timeout needs less" in program.said.text
+
+
+def test_both_masters_of_a_line_are_told_apart_in_the_log(polled: Polled, tmp_path: Path) -> None:
+    log = tmp_path / "line.mcap"
+    words = ("--unit", "5", "--between", "--timeout", "0.1", "--count", "5", "--every", "50ms")
+    with mbtool("poll", polled.link, "holding 0..3", *words, "-w", str(log)) as program:
+        program.wait()
+    name = polled.link.rpartition("/")[2].partition("@")[0]
+    units: dict[str, set[int]] = {}
+    for one in api.open(log):
+        units.setdefault(one.link, set()).add(one.unit)
+    assert units == {name: {1, 2}, f"{name}-own": {5}}, program.said.text
+    ours = [one for one in api.open(log) if one.link == f"{name}-own"]
+    assert 5 <= len(ours) <= 6  # A request that met another one may be there, too.
+
+
+def test_only_a_serial_line_is_logged(tmp_path: Path) -> None:
+    log = tmp_path / "x.mcap"
+    with (
+        mbtool("slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0") as slave,
+        mbtool(
+            "read", slave.said.find(r"on (\S+); Ctrl-C ends")[1], "holding 0", "-w", str(log)
+        ) as program,
+    ):
+        assert program.wait() == 2
+    assert "logs a serial line; on TCP, ask through a tap" in program.said.text
+    assert not log.exists()

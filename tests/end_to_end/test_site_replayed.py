@@ -48,7 +48,7 @@ def test_pymodbus_gets_from_all_six_what_was_recorded(tmp_path: Path) -> None:
         told = program.end(signal.SIGINT)
     assert [address for address, _ in places.values()] == [f"127.0.0.{host[-3:]}" for host in HOSTS]
     title, *rows = told.err.splitlines()
-    assert title.split() == ["slave", "asked", "recorded", "image", "profile", "never", "recorded"]
+    assert title.split() == ["slave", "asked", "recorded", "image", "profile", "unknown"]
     assert [row.split() for row in rows] == [[host, "8", "8", "0", "0", "0"] for host in HOSTS]
     assert max(map(len, told.err.splitlines())) <= 79
     shown = [line for line in told.lines if "06 write holding 5 := 7" in line]

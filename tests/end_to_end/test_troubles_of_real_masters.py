@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-import pytest
 import serial
 from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ModbusException
@@ -114,7 +113,7 @@ def test_a_slave_slower_than_the_time_out_is_late(tmp_path: Path) -> None:
     assert failed >= 8
     (trouble,) = (one for one in troubles_of(log) if one["severity"] == "error")
     assert (trouble["code"], trouble["unit"]) == ("LINE-LATE", 2)
-    assert trouble["count"] == pytest.approx(failed, abs=2)
+    assert 8 <= trouble["count"] <= failed + 2  # Late answers may spoil polls of unit 1, too.
 
 
 def test_a_dead_unit_is_silent_and_the_others_are_well(tmp_path: Path) -> None:

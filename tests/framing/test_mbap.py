@@ -11,8 +11,7 @@ from mbtool.core import Direction, EventKind, Origin
 from mbtool.framing import MbapSplitter
 from mbtool.framing.mbap import LONG_HEADER
 from mbtool.framing.skips import MAX_RUN
-from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict, mbap_adu
 from tests.feeding import every_way, feed_all
 from tests.modbus.reading import adus, pdus, raw, skipped
 

@@ -12,8 +12,7 @@ from mbtool.framing.rtu_lengths import (
     has_frame,
     why_skipped,
 )
-from mbtool.modbus.adu import Checksum
-from mbtool.modbus.adu_bytes import crc, rtu_adu
+from mbtool.modbus.adu import Checksum, crc, rtu_adu
 from mbtool.modbus.pdu import pdu_length
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE

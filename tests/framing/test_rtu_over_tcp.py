@@ -7,8 +7,7 @@ import random
 from mbtool.core import Direction, EventKind, Origin
 from mbtool.framing import RtuStreamSplitter
 from mbtool.framing.skips import MAX_RUN
-from mbtool.modbus.adu import DirectionBy, Transport, Verdict
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import DirectionBy, Transport, Verdict, rtu_adu
 from tests.feeding import every_way
 from tests.modbus.reading import adus, pdus, raw, skipped
 

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, Packet, SerialFormat
+from mbtool.core import Chunk, Direction, Packet, SerialFormat
 from mbtool.core.errors import MbtoolError
 from mbtool.core.link_spec import parse_link
 from mbtool.decode.decoder import Decoder
@@ -154,9 +154,10 @@ def register_list(data: bytes) -> None:
 def text_log(data: bytes) -> None:
     """A text with frames, or byte times as CSV, decoded; each frame is a whole one."""
     decoder = Decoder(Namer())
-    for chunk in TextLog(io.BytesIO(data), "x.txt", "x", FORMAT).chunks():
-        assert whole_frames(chunk.data, marked=True), "a chunk is no frame"
-        decoder.feed(chunk)
+    for piece in TextLog(io.BytesIO(data), "x.txt", "x", FORMAT).pieces():
+        if isinstance(piece, Chunk) and piece.direction is not Direction.RESPONSE:
+            assert whole_frames(piece.data, marked=True), "a request is no frame"
+        decoder.feed(piece)
     decoder.close()
     try:
         for chunk in read_byte_times(io.BytesIO(data), "x.csv", "x", None).pieces:

@@ -13,7 +13,7 @@ import pytest
 from mbtool.cli import exit_codes
 from mbtool.cli.main import run
 from mbtool.core import Connection, Direction, Endpoint, InputError, SerialFormat
-from mbtool.core.line_settings import parse_line
+from mbtool.core.link_spec import parse_line
 from mbtool.decode import Bus, ConnectionDecoder, Decoded
 from mbtool.devices import Assignments, builtin_profiles, load_profile
 from mbtool.devices.assignment import Assignment, Who
@@ -45,7 +45,6 @@ EXPLAINED_VECTORS = {
 
 PORTS = {
     "port10502_stepping0.pcap": {"ports": [10502]},
-    "rtu_over_tcp_brainchild.pcap": {"rtu_ports": [502]},
     "rtu_over_tcp_flowmeter.pcap": {"rtu_ports": [8899]},
 }
 LINE = "rtu@9600-8N1"

@@ -43,6 +43,7 @@ READERS = frozenset(
         ("watching/board_rows.py", "slave_rows"),
         ("troubles/polling.py", "short_connections"),
         ("troubles/net_lost.py", "LostConnections"),
+        ("values/draft.py", "_observed_functions"),
     )
 )
 """These add up counts of the account."""

@@ -278,6 +278,23 @@ def test_damage_in_the_summary_is_told_and_costs_nothing(tmp_path: Path) -> None
     )
 
 
+def test_a_second_log_in_the_same_file_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    write_log(path, [chunk(1)])
+    whole = path.read_bytes()
+    for behind, is_told in ((whole, True), (bytes(100), False)):
+        path.write_bytes(whole + behind)
+        with LogReader.open(path) as log:
+            items = log.items()
+            assert next(items) == chunk(1)
+            if is_told:
+                told = f"byte {len(whole)}: another log begins here"
+                with pytest.raises(DamageError, match=told):
+                    next(items)
+            else:
+                assert list(items) == []
+
+
 def test_a_header_with_a_changed_name_is_known_by_its_library(tmp_path: Path) -> None:
     data = some_chunks(tmp_path / "x.mcap").read_bytes()
     whole, _ = read(data)

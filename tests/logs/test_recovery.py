@@ -163,6 +163,18 @@ def test_damage_that_costs_nothing_is_a_remark(tmp_path: Path, log: bytes) -> No
         assert result.messages == len(stock_messages(tmp_path / "x.mcap"))
 
 
+def test_logs_behind_each_other_in_one_file_become_one(tmp_path: Path, log: bytes) -> None:
+    with LogWriter(tmp_path / "y.mcap", capture={}) as writer:
+        writer.write(chunk(30))
+    other = (tmp_path / "y.mcap").read_bytes()
+    result, losses = recover(log + other + log, tmp_path)
+    assert losses == []
+    assert result.remark == ""
+    whole = stock_messages(tmp_path / "x.mcap")
+    found = stock_messages(tmp_path / "good.mcap")
+    assert sorted(found) == sorted([*whole, *stock_messages(tmp_path / "y.mcap"), *whole])
+
+
 def test_a_damaged_filler_record_costs_nothing_by_the_summary(tmp_path: Path, log: bytes) -> None:
     offset, _ = records_of(log, Opcode.CHUNK)[1]
     filler = bytearray(empty_record(300))

@@ -83,9 +83,9 @@ def test_a_late_response_is_not_taken_for_that_of_the_next_request() -> None:
         with SerialSlave(slave, script), open_master(ours, SHORT_NS) as master:
             assert master.exchange(1, READ).response is None
             master.receive(20 * SHORT_NS)  # Until the late one has come.
-            done = master.exchange(1, WRITE)
-    assert done.response is not None
-    assert done.response.pdu == WRITE
+            answers = (master.exchange(1, WRITE).response for _ in range(20))  # On a busy machine.
+            response = next(one for one in answers if one)
+    assert response.pdu == WRITE
 
 
 def test_a_response_that_came_while_this_process_did_not_run_is_read(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 
 from mbtool.core import LinkError, SerialLink, parse_link
@@ -109,15 +111,77 @@ def test_another_master_with_ever_new_requests_is_remembered_in_bounded_memory()
     assert len(other.polls) == 256
 
 
+def frames(other: OtherMaster, link: SerialLink, now_ns: int, *waits: tuple[bytes, int]) -> int:
+    """Let frames be heard, each after a silence in ms; return the time of the last byte in ns."""
+    for frame, wait_ms in waits:
+        now_ns += wait_ms * MS + len(frame) * link.format.character_ns
+        other.feed(frame, now_ns)
+        other.feed(b"", now_ns + 4 * MS)
+    return now_ns
+
+
 def test_a_pause_is_known_again_after_bytes_were_missed() -> None:
     link = line()
     other, now_ns = heard(link, 6)
     known_ns = other.longest_pause_ns
-    other.listen_anew()
     now_ns += 2_000 * MS
-    for frame, wait_ms in ((READ_2, 20), (ANSWER_2, 8)):
-        now_ns += wait_ms * MS + len(frame) * link.format.character_ns
-        other.feed(frame, now_ns)
-        other.feed(b"", now_ns + 4 * MS)
+    other.listen_anew(now_ns)
+    now_ns = frames(other, link, now_ns, (READ_2, 20), (ANSWER_2, 8))
     assert other.longest_pause_ns == known_ns
+    assert other.rest_ns(now_ns + 4 * MS) == 0  # The poll of unit 1 may come at any moment.
+    now_ns = frames(other, link, now_ns, (READ_1, 400), (ANSWER_1, 5), (READ_2, 20), (ANSWER_2, 8))
     assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+
+
+def test_a_poll_that_has_stopped_is_no_longer_awaited() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    for _ in range(4):
+        now_ns = frames(other, link, now_ns, (READ_2, 420), (ANSWER_2, 8))
+    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+
+
+def test_a_pause_ends_where_a_poll_at_a_fixed_time_is_due() -> None:
+    link = line()
+    other, now_ns = OtherMaster(link), 10**12
+    for _ in range(6):  # Each 300 ms, however long the answer takes.
+        begin_ns = now_ns
+        frames(other, link, begin_ns, (READ_1, 0), (ANSWER_1, 10))
+        now_ns = begin_ns + 300 * MS
+    answered_ns = frames(other, link, now_ns, (READ_1, 0), (ANSWER_1, 200))
+    rest_ns = other.rest_ns(answered_ns + 4 * MS)
+    assert 0 < answered_ns + 4 * MS + rest_ns <= now_ns + 300 * MS + 8 * link.format.character_ns
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_request_falls_into_the_silence_that_is_promised(seed: int) -> None:
+    # Two timers, one at each third time of the other, and answers that become slower.
+    chance, link = Random(seed), line()
+    other, now_ns = OtherMaster(link), 10**12
+    polls = [(READ_1, ANSWER_1, 430), (READ_2, ANSWER_2, 1_290)]
+    due_ns = [now_ns, now_ns + chance.randint(170, 300) * MS]
+    promises, broken, promised_ns = 0, 0, 0
+    for number in range(200):
+        place = due_ns.index(min(due_ns))
+        request, answer, period_ms = polls[place]
+        begin_ns = max(due_ns[place], now_ns + 5 * MS)
+        is_broken = number >= 30 and promised_ns > begin_ns
+        broken += is_broken
+        due_ns[place] += period_ms * MS
+        latency_ms = chance.randint(5, 20 if number < 30 else 120)
+        now_ns = frames(other, link, begin_ns, (request, 0), (answer, latency_ms))
+        rest_ns = other.rest_ns(now_ns + 4 * MS)
+        promises += rest_ns >= 100 * MS
+        promised_ns = now_ns + 4 * MS + rest_ns
+    assert promises > 20
+    assert broken == 0
+
+
+def test_bytes_of_others_beside_our_request_shorten_the_pause() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    assert other.longest_pause_ns > 300 * MS
+    other.note_our_request()
+    other.note_intrusion(now_ns + 120 * MS)
+    assert other.longest_pause_ns == pytest.approx(0.9 * 120 * MS)
+    assert other.rest_ns(now_ns + 130 * MS) == 0

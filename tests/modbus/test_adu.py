@@ -9,12 +9,10 @@ from mbtool.modbus.adu import (
     MAX_PDU,
     MAX_RTU_ADU,
     MAX_TCP_ADU,
-    Checksum,
-    Transport,
-)
-from mbtool.modbus.adu_bytes import (
     MBAP_BYTES,
     RTU_EXTRA_BYTES,
+    Checksum,
+    Transport,
     ascii_adu,
     crc,
     crc_on,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.modbus.adu_bytes import ascii_adu, crc, lrc, mbap_adu, rtu_adu
+from mbtool.modbus.adu import ascii_adu, crc, lrc, mbap_adu, rtu_adu
 from tests.strategies import UNIT
 
 READ = bytes.fromhex("03 006B 0003")

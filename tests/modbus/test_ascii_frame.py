@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.modbus.adu import Checksum
-from mbtool.modbus.adu_bytes import ascii_adu
-from mbtool.modbus.ascii_frame import CR, LF, SEVEN_BITS, AsciiFrame, read_frame, why_unreadable
+from mbtool.modbus.adu import (
+    CR,
+    LF,
+    SEVEN_BITS,
+    AsciiFrame,
+    Checksum,
+    ascii_adu,
+    read_frame,
+    why_unreadable,
+)
 from tests.modbus.reading import with_parity
 
 FRAME = b":02010064000198\r\n"  # CHINO LT830, INE-350, 6.5.1: unit 2 reads digital parameter 101.

@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.framing import MbapSplitter
-from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.adu_bytes import ascii_adu, crc, lrc, mbap_adu, rtu_adu
-from mbtool.modbus.distortion import wire_pieces
-from mbtool.modbus.response import Distortion, Response
+from mbtool.modbus.adu import Adu, Transport, ascii_adu, crc, lrc, mbap_adu, rtu_adu
+from mbtool.modbus.response import Distortion, Response, wire_pieces
 
 PDU = bytes.fromhex("03 02 1234")  # two bytes, one register
 FRAMED = {
@@ -17,6 +15,8 @@ FRAMED = {
     Transport.RTU_TCP: rtu_adu(1, PDU),
     Transport.ASCII: ascii_adu(1, PDU),
     Transport.TCP: mbap_adu(7, 1, PDU),
+    Transport.UDP: mbap_adu(7, 1, PDU),
+    Transport.RTU_UDP: rtu_adu(1, PDU),
 }
 
 

@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.expected_response import ExpectedResponse, is_response_to
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.request_match import is_response_to
 from tests.strategies import Exchange, Message, exchanges, messages
 
 READ = bytes.fromhex("03 006B 0003")

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.modbus.adu import Transport
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Transport, mbap_adu, rtu_adu
 from mbtool.modbus.identification import Identity, identities, text_of
 from tests.devices.transactions import transaction
 

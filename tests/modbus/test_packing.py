@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 
-from mbtool.modbus.packing import bit_bytes, pack_bits, pack_words, unpack_bits, words
+from mbtool.modbus.layouts import bit_bytes, pack_bits, pack_words, unpack_bits, words
 from tests.strategies import bits, registers
 
 

@@ -7,9 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.expected_response import (
+    ExpectedResponse,
+    is_response_code,
+    is_response_to,
+    mismatch,
+)
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.request_match import is_response_code, is_response_to, mismatch
 from tests.strategies import Exchange, exchanges
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE

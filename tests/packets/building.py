@@ -41,6 +41,11 @@ def tcp(
     return header + options + payload
 
 
+def udp(source_port: int, destination_port: int, payload: bytes) -> bytes:
+    """Make a UDP datagram without a checksum."""
+    return struct.pack(">HHHH", source_port, destination_port, 8 + len(payload), 0) + payload
+
+
 def ipv4(
     payload: bytes,
     source: str = MASTER,

@@ -302,6 +302,31 @@ def test_the_first_copy_wins_and_a_difference_is_one_event(
     assert (event.source, event.destination) == (str(_MASTER), str(_SLAVE))
 
 
+def test_a_segment_sent_again_after_a_while_is_told_once() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask")]
+    for wait_ms in (0, 200, 400):
+        talk.ts_ns += wait_ms * _MS
+        packets.append(talk.at(talk.master, 1001, b"ask"))
+    packets.append(talk.response(b"tell"))
+
+    items = run_packets(packets)
+
+    assert words_of(items) == [">ask", "<tell"]
+    (event,) = wire_events(items)
+    assert (event.kind, event.raw) == (EventKind.SENT_AGAIN, b"ask")
+    assert event.message == "a TCP segment sent again after 202 ms"
+
+
+def test_a_copy_at_once_and_a_keep_alive_probe_are_not_sent_again() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.at(talk.master, 1001, b"ask")]
+    talk.ts_ns += 45_000 * _MS
+    packets.append(talk.at(talk.master, 1003, b"k"))
+
+    assert wire_events(run_packets(packets)) == []
+
+
 def test_bytes_behind_a_filled_hole_have_the_time_of_the_segment_that_filled_it() -> None:
     talk = Talk()
     late = talk.at(talk.master, 1004, b"def")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import LinkAddresses
-from mbtool.packets.link_addresses import link_addresses
+from mbtool.packets.link_layer import link_addresses
 
 MASTER, SLAVE = bytes.fromhex("000ae4010203"), bytes.fromhex("000417020304")
 

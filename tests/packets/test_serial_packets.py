@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Direction, EventKind, Packet, WireEvent
-from mbtool.packets.serial_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
+from mbtool.packets.line_packets import SERIAL_LINK_TYPES, USER_LINK_TYPES, serial_pieces
 from tests.packets.building import cut, packet
 
 FRAME = bytes.fromhex("01 03 0063 0001 7414")  # unit 1, read holding register 99, CRC

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.ports.connection_limits import DEFAULT_PER_SECOND, ConnectionRate
+from mbtool.ports.tcp_listener import DEFAULT_PER_SECOND, ConnectionRate
 
 
 def test_a_burst_of_one_second_passes_and_then_one_for_each_token() -> None:

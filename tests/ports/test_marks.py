@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.ports.marks import Unmarker
+from mbtool.ports.line_errors import Unmarker
 
 
 def unmarked(*reads: bytes) -> tuple[bytes, list[int]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mbtool.core.local_ports import Holder
-from mbtool.ports.port_holders import holders_of
+from mbtool.ports.local_ports import holders_of
 from tests.sources.machine import Machine
 
 if sys.platform != "linux":

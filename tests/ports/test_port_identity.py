@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.ports.port_identity import PortIdentity, find_port, identity_of
+from mbtool.ports.local_ports import PortIdentity, find_port, identity_of
 from tests.sources.machine import Machine
 
 if TYPE_CHECKING:

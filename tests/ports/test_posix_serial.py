@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.core.modem_lines import ModemLine, ModemLines
+from mbtool.core.serial_format import ModemLine, ModemLines
 from mbtool.ports.serial_opening import open_listening
 from tests.sources.live_helpers import PATIENCE_S, stop_marking
 

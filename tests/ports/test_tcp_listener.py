@@ -10,8 +10,7 @@ from contextlib import closing
 import pytest
 
 from mbtool.core import Endpoint, LinkError, TapLink, TcpLink, UsageError
-from mbtool.ports.allowed_peers import AllowedPeers
-from mbtool.ports.tcp_listener import TcpListener
+from mbtool.ports.tcp_listener import AllowedPeers, TcpListener
 
 PATIENCE_S = 10.0
 TARGET = Endpoint("192.0.2.1", 502)

@@ -15,8 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import ListenTls
-from mbtool.ports.tls import server_context, why_outdated
-from mbtool.ports.tls_peer import MAX_TEXT, ROLE, described, end_of, role_of, subject_of
+from mbtool.ports.tls import (
+    MAX_TEXT,
+    ROLE,
+    described,
+    end_of,
+    role_of,
+    server_context,
+    subject_of,
+    why_outdated,
+)
 from tests.certificates import CA, EXPIRED, LATIN_1, MASTER, NO_ROLE, SLAVE
 
 KEY = ec.generate_private_key(ec.SECP256R1())

@@ -8,9 +8,9 @@ import pytest
 
 from mbtool.core import MbtoolError, WireEvent
 from mbtool.devices import Assignment, Assignments, Namer, Who, builtin_profiles, load_profile
-from mbtool.devices.drafting.draft import draft_profile
 from mbtool.devices.profile_match import match_profiles
 from mbtool.modbus import Outcome
+from mbtool.values.draft import draft_profile
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction, SerialFormat
 from mbtool.modbus import Adu, Skipped, Verdict, ascii_adu, rtu_adu
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import DirectionBy, crc
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 from mbtool.serial_line.bus_model import SURE, BusModel, Classification
 from mbtool.serial_line.rtu import HOLD_NS, WINDOW

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
+from mbtool.modbus.expected_response import is_response_to
 from mbtool.modbus.pdu import parse_pdu, pdu_length
-from mbtool.modbus.request_match import is_response_to
 from tests.strategies import Message, messages
 
 DIRECTIONS = st.sampled_from(tuple(Direction))

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from mbtool.core import UsageError
 from mbtool.devices import NamedTransaction, PointValue
@@ -357,7 +358,7 @@ def test_an_endpoint_a_time_or_a_pattern_holds(text: str) -> None:
         ("300 == unit", "unit is never 300; it is a number from 0 to 255"),
         ("unit in (1, 300)", "unit is never 300"),
         ("unit > 255", "unit is never > 255"),
-        ("70000 in values", "one of values is never 70000"),
+        ("70000 in written_registers", "one of written_registers is never 70000"),
         ('reference matches "(a"', "the pattern '(a': missing ), unterminated subpattern at char"),
         ('reference matches "a{99999999999}"', "the repetition number is too large"),
         ('unit like "1"', "unit is a number; like looks at texts"),
@@ -391,3 +392,24 @@ def test_nothing_is_in_an_empty_list() -> None:
 def test_limits_of_a_range_can_be_compared() -> None:
     for text in ("unit <= 255", "unit < 300", "unit >= 0", "-1 < unit", "address < 65536"):
         assert parse_where(text)(transaction())
+
+
+def test_points_are_compared_by_name_and_their_numbers_are_among_the_values() -> None:
+    one = replace(
+        READ,
+        points=[
+            PointValue(name="Flow", reference="HR1", value=23.399999618530273, text="23.4 degC"),
+            PointValue(name="State", reference="HR3", value=2, text="heating"),
+        ],
+    )
+    for text in (
+        'point["Flow"] > 23 and point["flow"] < 24',
+        'text["State"] == "heating"',
+        'text["State"] like "heat*"',
+        "23.4 in values",
+        "not 23.5 in values",
+    ):
+        assert parse_where(text)(one), text
+    assert not parse_where('point["Absent"] > 0')(one)
+    with pytest.raises(UsageError, match="is a text and 8 is a number"):
+        parse_where('text["State"] > 8')

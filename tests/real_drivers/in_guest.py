@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Chunk, SerialFormat
-from mbtool.core.modem_lines import ModemLine, ModemLines
+from mbtool.core.serial_format import ModemLine, ModemLines
 from mbtool.logs import LogReader
 from mbtool.ports.posix_serial import PosixPort
 

@@ -49,7 +49,7 @@ def unasked(at_ms: int, response: str, *, unit: int = 1) -> Transaction:
 def _adu(pdu: str, unit: int, at_ns: int, direction: Direction, transport: Transport) -> Adu:
     data = bytes.fromhex(pdu)
     match transport:
-        case Transport.TCP:
+        case Transport.TCP | Transport.UDP:
             raw = mbap_adu(0, unit, data)
         case Transport.ASCII:
             raw = ascii_adu(unit, data)

@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Transport, ascii_adu, rtu_adu
-from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.response import wire_pieces
 from mbtool.replay.damaged import RESPONSE_NS, DamagedAnswer, damaged_answers
 from tests.replay.recorded import MS, answered, unanswered
 

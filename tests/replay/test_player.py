@@ -20,7 +20,7 @@ from mbtool.modbus import (
     rtu_adu,
     values_after,
 )
-from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.response import wire_pieces
 from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import OnMiss, RecordedSlave
 from mbtool.replay.recording import Recording

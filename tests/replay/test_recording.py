@@ -52,6 +52,33 @@ def test_orders_by_the_time_of_the_request() -> None:
     assert recording.begin_ns == 0
 
 
+@pytest.mark.parametrize(
+    ("unit", "pdu", "has"),
+    [
+        (1, "03 0000 0001", True),
+        (1, "03 0000 0002", False),
+        (2, "03 0000 0001", False),
+        (1, "06 0005 0001", True),
+        (1, "06 0005 1234", True),
+        (1, "06 0006 0001", False),
+        (1, "08 0000 1234", True),
+        (1, "08 0000 1235", False),
+        (1, "03 0000", False),
+    ],
+)
+def test_a_request_was_recorded_if_one_asks_for_the_same_whatever_it_writes(
+    unit: int, pdu: str, has: bool
+) -> None:
+    recording = Recording.of(
+        [
+            answered(0, READ, "03 02 0001"),
+            answered(10, "06 0005 0001", "06 0005 0001"),
+            answered(20, "08 0000 1234", "08 0000 1234"),
+        ]
+    )
+    assert recording.has(unit, bytes.fromhex(pdu)) is has
+
+
 def test_unsolicited_responses_are_left_out() -> None:
     recording = Recording.of([unasked(0, "03 02 0001")])
     assert recording.answers == {}

@@ -11,8 +11,16 @@ from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.decode import Bus
 from mbtool.framing.skips import MAX_RUN
-from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import ascii_adu
+from mbtool.modbus.adu import (
+    MAX_ASCII_ADU,
+    Adu,
+    Checksum,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    ascii_adu,
+)
 from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line import AsciiSplitter
 from mbtool.serial_line import ascii as ascii_module

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.modbus.adu_bytes import crc, crc_on, rtu_adu
+from mbtool.modbus.adu import crc, crc_on, rtu_adu
 from mbtool.serial_line.bit_repair import repaired
 
 pdus = st.binary(min_size=1, max_size=253)

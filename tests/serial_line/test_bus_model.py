@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import DirectionBy, rtu_adu
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (
     SURE,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import DirectionBy, rtu_adu
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel, Classification
 from mbtool.serial_line.candidates import ByteWindow, Candidates

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import DirectionBy
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import DirectionBy, rtu_adu
 from mbtool.serial_line.bus_model import BusModel, Classification
 from mbtool.serial_line.fast_path import FastPath
 
@@ -46,7 +45,7 @@ def test_frame_is_found_when_a_silence_or_a_byte_follows() -> None:
 def test_after_a_restart_the_size_is_measured_again() -> None:
     looking = front()
     assert taken(looking, READ[:4]) is None
-    looking.restart(behind_noise=False)
+    looking.restart(0, behind_noise=False)
     assert taken(looking, OTHER) == (len(OTHER), REQUEST)
 
 
@@ -58,7 +57,7 @@ def test_response_that_nobody_requested_needs_a_search() -> None:
 def test_known_request_needs_no_search_though_another_is_pending() -> None:
     assert taken(front(READ, ANSWER, OTHER), READ) == (len(READ), REQUEST)
     behind_noise = front(READ, ANSWER, OTHER)
-    behind_noise.restart(behind_noise=True)
+    behind_noise.restart(0, behind_noise=True)
     assert taken(behind_noise, READ) is None
 
 
@@ -131,7 +130,7 @@ def test_search_decides_about_a_function_without_a_size() -> None:
     assert needed(b"\x01\x41\x00\x00") == MOST
     looking = front()
     assert taken(looking, b"\x01\x41\x00\x00") is None
-    looking.restart(behind_noise=False)
+    looking.restart(0, behind_noise=False)
     assert looking.needed == 4
 
 
@@ -155,7 +154,14 @@ def test_new_request_costs_no_more_than_the_fast_path_takes() -> None:
     assert taken(front(READ, ANSWER), OTHER) == (len(OTHER), REQUEST)
     odd = rtu_adu(2, bytes.fromhex("04 0000 0000"))
     assert taken(front(READ, ANSWER), odd) is None
-    assert taken(front(READ), OTHER) is None
+    assert taken(front(READ), odd) is None
+
+
+def test_request_by_its_form_needs_no_search_behind_one_without_a_response() -> None:
+    """A scan of units that are not there."""
+    assert taken(front(READ), OTHER) == (len(OTHER), REQUEST)
+    same_unit = rtu_adu(READ[0], bytes((READ[1],)) + bytes.fromhex("0064 0001"))
+    assert taken(front(READ), same_unit) is None
 
 
 def test_without_silences_a_response_needs_another_frame_after_it() -> None:

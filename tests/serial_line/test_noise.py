@@ -10,7 +10,7 @@ import pytest
 
 from mbtool.core import Direction, SerialFormat
 from mbtool.framing.rtu_lengths import has_frame
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import rtu_adu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.rtu import LONG_NOISE
 from tests.feeding import Line, feed_all

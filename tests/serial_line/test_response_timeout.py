@@ -7,7 +7,7 @@ import pytest
 from mbtool.core import SerialFormat
 from mbtool.decode import Bus
 from mbtool.modbus import Outcome, Transaction
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import rtu_adu
 from mbtool.serial_line.response_timeout import SAMPLES, ResponseTimeout
 from tests.feeding import Line, feed_all
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
-from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import crc, rtu_adu
+from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, Verdict, crc, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.bus_model import SURE

@@ -7,17 +7,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import Direction, SerialFormat
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
-from mbtool.modbus.adu_bytes import crc, rtu_adu
+from mbtool.modbus.adu import MAX_RTU_ADU, Adu, DirectionBy, Skipped, Verdict, crc, rtu_adu
 from mbtool.modbus.functions import ECHOING
 from mbtool.serial_line import RtuSplitter, costs
-from mbtool.serial_line.bus_model import ROLES, SURE, BusModel
+from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import ByteWindow
 from mbtool.serial_line.line_statistics import LearnedCost, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
@@ -579,11 +578,27 @@ class Searched:
         for segment in segments:
             assert segment.offset == ends[-1]
             ends.append(segment.offset + segment.size)
-        assert ends[-1] == len(self.data)
+        assert ends[-1] in (len(self.data), search.settled_size)
         return segments
 
     def told(self) -> list[tuple[SegmentKind, int]]:
-        return [(segment.kind, segment.size) for segment in self.segments()]
+        """The segments of all bytes: where a search stops, another one goes on."""
+        segments = self.segments()
+        end = segments[-1].offset + segments[-1].size
+        if end == len(self.data):
+            return [(segment.kind, segment.size) for segment in segments]
+        for segment in segments:
+            raw = self.data[segment.offset : segment.offset + segment.size]
+            if segment.kind is SegmentKind.FRAME:
+                classified = Classification(segment.role, DirectionBy.FORM, segment.confidence)
+                self.bus_model.hear(classified, raw[0], raw[1:-2], 0, 0)
+        rest = replace(
+            self,
+            data=self.data[end:],
+            silent=frozenset(place - end for place in self.silent if place >= end),
+            is_behind_noise=False,
+        )
+        return [(segment.kind, segment.size) for segment in segments] + rest.told()
 
 
 def test_segments_are_in_order_without_a_hole() -> None:
@@ -646,6 +661,12 @@ def test_damaged_frame_does_not_hide_frames_after_silences() -> None:
         (SegmentKind.SKIPPED, 4),
         *[(SegmentKind.FRAME, len(raw)) for raw in NEIGHBOURS * 4],
     ]
+
+
+def test_search_stops_where_only_one_explanation_is_left() -> None:
+    """Behind a byte that belongs to no frame, three frames show that it is noise."""
+    segments = Searched(b"\x55" + b"".join(NEIGHBOURS * 8)).segments()
+    assert [segment.size for segment in segments] == [1, *map(len, (*NEIGHBOURS, NEIGHBOURS[0]))]
 
 
 def test_known_speaker_limits_the_search_to_its_form() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction, LineSettings, SerialFormat
-from mbtool.modbus.adu_bytes import ascii_adu, rtu_adu
+from mbtool.modbus.adu import ascii_adu, rtu_adu
 from mbtool.modbus.pdu import encode_pdu
 from mbtool.serial_line.settings_fit import (
     ENOUGH,

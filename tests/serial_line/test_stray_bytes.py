@@ -7,7 +7,7 @@ from copy import deepcopy
 import pytest
 
 from mbtool.core import SerialFormat
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import rtu_adu
 from mbtool.serial_line import RtuSplitter
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus

@@ -9,7 +9,7 @@ import pytest
 from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.decode import Bus
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 from tests.feeding import START_NS
 
 LINE = SerialFormat(9600)

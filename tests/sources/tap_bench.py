@@ -6,8 +6,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, ListenTls, TapLink, TargetTls
-from mbtool.ports.allowed_peers import AllowedPeers
-from mbtool.ports.connection_limits import ConnectionLimits
+from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 from mbtool.sources.inbox import Inbox
 from mbtool.sources.tap import TapSource
 from tests.sources.live_helpers import PATIENCE_S

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core.modem_lines import ModemLines
+from mbtool.core.serial_format import ModemLines
 from mbtool.ports.serial_records import RecordKind, RecordReader
 from mbtool.sources import child
 from mbtool.sources.child import end_child, start_child

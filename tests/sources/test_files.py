@@ -343,9 +343,9 @@ def test_gives_the_bytes_of_a_line(tmp_path: Path) -> None:
     line = parse_line("rtu@9600")
 
     with open_capture(path, line) as capture:
-        of_file = capture.serial(line)
-        assert of_file.line == line
-        (chunk,) = of_file.pieces
+        settings, pieces = capture.serial(line)
+        assert settings == line
+        (chunk,) = pieces
     assert isinstance(chunk, Chunk)
     assert (chunk.link, chunk.data) == ("bench", _FRAME)
 
@@ -369,7 +369,7 @@ def test_a_byte_order_mark_is_no_part_of_a_text(
         path = tmp_path / "a"
         path.write_bytes(pack(mark + content))
         with open_capture(path, settings) as capture:
-            pieces.append(list(capture.serial(settings).pieces))
+            pieces.append(list(capture.serial(settings)[1]))
     assert pieces[0] == pieces[1]
     assert bool(pieces[0]) is bool(content)
 
@@ -381,8 +381,8 @@ def test_a_byte_order_mark_on_standard_input_is_no_part_of_a_text(
     line = parse_line("rtu@9600")
 
     with open_capture("-", line) as capture:
-        pieces = list(capture.serial(line).pieces)
-    assert b"".join(piece.data for piece in pieces) == b"\1\3"
+        pieces = list(capture.serial(line)[1])
+    assert b"".join(piece.data for piece in pieces if isinstance(piece, Chunk)) == b"\1\3"
 
 
 def test_bytes_of_a_line_may_begin_like_a_byte_order_mark(tmp_path: Path) -> None:
@@ -392,7 +392,7 @@ def test_bytes_of_a_line_may_begin_like_a_byte_order_mark(tmp_path: Path) -> Non
     line = parse_line("rtu@9600")
 
     with open_capture(path, line) as capture:
-        (chunk,) = capture.serial(line).pieces
+        (chunk,) = capture.serial(line)[1]
     assert isinstance(chunk, Chunk)
     assert chunk.data == data
 
@@ -406,7 +406,7 @@ def test_an_empty_file_of_a_line_has_no_bytes(
     path.write_bytes(pack(b""))
 
     with open_capture(path, parse_line(line)) as capture:
-        assert list(capture.serial(parse_line(line)).pieces) == []
+        assert list(capture.serial(parse_line(line))[1]) == []
 
 
 def test_the_bytes_of_standard_input_are_called_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -415,7 +415,9 @@ def test_the_bytes_of_standard_input_are_called_so(monkeypatch: pytest.MonkeyPat
 
     with open_capture("-", line) as capture:
         assert capture.link == "stdin"
-        assert [piece.link for piece in capture.serial(line).pieces] == ["stdin"]
+        (piece,) = capture.serial(line)[1]
+    assert isinstance(piece, Chunk)
+    assert piece.link == "stdin"
 
 
 @pytest.mark.parametrize(
@@ -479,7 +481,7 @@ def test_an_error_while_bytes_are_read_is_one_line(
         with open_capture(path, line) as capture:
             monkeypatch.setattr(capture, "stream", Broken())
             with pytest.raises(InputError, match="cannot be read: Input/output error"):
-                list(capture.serial(line).pieces)
+                list(capture.serial(line)[1])
 
 
 def test_standard_input_that_is_closed_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

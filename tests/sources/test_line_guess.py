@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import random
+import re
 from functools import cache
 
 import pytest
 
 from mbtool.core import AutoLink, Direction, LinkError, SerialFormat, SerialLink
 from mbtool.modbus import ascii_adu, encode_pdu, rtu_adu
-from mbtool.sources.line_guess import LISTEN_S, guess_line
+from mbtool.serial_line.settings_fit import settings_to_try
+from mbtool.sources.line_guess import guess_line
 from tests.sources.uart import UartPort, edges_of, receive
 
 MS = 1_000_000
@@ -159,12 +161,51 @@ def test_damage_makes_it_likely_and_the_second_is_named() -> None:
     assert "frames have a correct CRC, likely; second is " in sentence
 
 
-def test_a_silent_line_is_an_error_soon() -> None:
+@pytest.mark.parametrize(("wait_s", "told_s"), [(None, 60), (20.0, 20), (300.0, 300)])
+def test_a_silent_line_is_an_error_after_a_while(wait_s: float | None, told_s: int) -> None:
     port = UartPort([])
-    with pytest.raises(LinkError, match=r"@auto: nothing was heard in 10 s; does a master poll"):
-        guess(port)
+    told = rf"@auto: nothing was heard in {told_s} s; does a master poll"
+    with pytest.raises(LinkError, match=told):
+        guess_line(LINK, wait_s=wait_s, open_=port.open, clock=port.clock)
     assert port.is_closed
-    assert port.now_ns < (LISTEN_S + 1) * 1_000 * MS
+    assert port.now_ns < (told_s + 1) * 1_000 * MS
+    assert port.tuned == ["19200-8E1"]
+
+
+@pytest.mark.parametrize("text", ["19200-8E1", "9600-8N1", "9600-8E1", "2400-8N1", "1200-8O1"])
+def test_a_meter_that_is_polled_each_30_s_is_found(text: str) -> None:
+    port = UartPort(wire(text, seconds=1800, period_ms=30_000))
+    told: list[str] = []
+    found, sentence = guess_line(LINK, on_progress=told.append, open_=port.open, clock=port.clock)
+    assert str(found.format) == text
+    assert "2 of 2 frames have a correct CRC, likely, from so few frames" in sentence
+    places = [str(one) for one in settings_to_try()]
+    assert port.now_ns <= (places.index(text) + 1) * 30_000 * MS + 6_000 * MS
+    assert all(re.fullmatch(r"heard [\d,]+ bytes? in \d+ s, .* fits so far", line) for line in told)
+
+
+def test_the_search_says_what_fits_so_far() -> None:
+    # Only the master is heard, so that two polls are needed.
+    line = SerialFormat.parse("9600-8N1")
+    request = rtu_adu(1, bytes.fromhex("03 0000 0002"))
+    port = UartPort(edges_of([(number * 30_000 * MS, request) for number in range(60)], line))
+    told: list[str] = []
+    found, _ = guess_line(LINK, on_progress=told.append, open_=port.open, clock=port.clock)
+    assert found.format == line
+    assert any(
+        re.fullmatch(r"heard \d+ bytes in \d+ s, nothing fits so far", each) for each in told
+    )
+    assert any(
+        re.fullmatch(r"heard \d+ bytes in \d+ s, 9600-8N1 RTU fits so far", each) for each in told
+    )
+
+
+def test_a_search_ends_when_the_user_said() -> None:
+    line = SerialFormat.parse("1200-8O1")
+    port = UartPort(edges_of(polls(line, 900, ascii_=False, period_ms=30_000), line))
+    with pytest.raises(LinkError, match="no usual line settings fit what was heard"):
+        guess_line(LINK, wait_s=100, open_=port.open, clock=port.clock)
+    assert port.now_ns < 101_000 * MS
 
 
 def test_what_is_no_modbus_fits_nothing() -> None:

@@ -117,10 +117,17 @@ def test_passes_tcp_from_or_to_a_port(
     assert passes(program, IPV6, ipv6(source, ports[-1]))
 
 
-def test_drops_what_is_not_tcp() -> None:
+def test_passes_udp_from_or_to_a_port() -> None:
     program = port_filter([502], is_loopback=False)
-    assert not passes(program, IPV4, ipv4(502, 502, protocol=UDP))
-    assert not passes(program, IPV6, ipv6(502, 502, UDP))
+    for ends in ((502, 9), (9, 502), (9, 9)):
+        assert passes(program, IPV4, ipv4(*ends, protocol=UDP)) == (502 in ends)
+        assert passes(program, IPV6, ipv6(*ends, UDP)) == (502 in ends)
+
+
+def test_drops_what_is_neither_tcp_nor_udp() -> None:
+    program = port_filter([502], is_loopback=False)
+    assert not passes(program, IPV4, ipv4(502, 502, protocol=1))
+    assert not passes(program, IPV6, ipv6(502, 502, 58))
     assert not passes(program, ARP, ipv4(502, 502))
 
 
@@ -145,7 +152,7 @@ def test_passes_extension_headers_and_inner_tags() -> None:
         assert passes(program, tag, b"")
 
 
-@pytest.mark.parametrize("ports", [[], [502]])
+@pytest.mark.parametrize("ports", [[503], [502]])
 def test_passes_mirrors_over_a_network_and_no_other_tunnels(ports: list[int]) -> None:
     program = port_filter(ports, is_loopback=False)
     for protocol in ERSPAN:
@@ -159,19 +166,21 @@ def test_what_passes_is_what_the_reassembler_looks_into() -> None:
     program = port_filter([502], is_loopback=False)
     for header in range(256):
         # Behind the header in question stands TCP, in its first byte.
-        inside = bytes([TCP]) + bytes(7) if header != TCP else b""
+        inside = bytes([TCP]) + bytes(7) if header not in (TCP, UDP) else b""
         data = ipv6(502, 502, header)
         data = data[:40] + inside + data[40:]
         is_followed = find_tcp(data, 0, len(data)) is not None or header == IPV6_FRAGMENT
         assert passes(program, IPV6, data) >= is_followed
-        assert passes(program, IPV6, data) == (header in BEFORE_TCP or header == TCP)
+        is_port = header in (TCP, UDP)
+        assert passes(program, IPV6, data) == (header in BEFORE_TCP or is_port)
 
 
-def test_without_ports_any_tcp_passes() -> None:
+def test_without_ports_any_tcp_and_udp_pass() -> None:
     program = port_filter([], is_loopback=False)
     assert passes(program, IPV4, ipv4(1, 2))
     assert passes(program, IPV6, ipv6(1, 2))
-    assert not passes(program, IPV4, ipv4(1, 2, protocol=UDP))
+    assert passes(program, IPV4, ipv4(1, 2, protocol=UDP))
+    assert not passes(program, IPV4, ipv4(1, 2, protocol=1))
 
 
 def test_on_the_loopback_a_packet_passes_once() -> None:

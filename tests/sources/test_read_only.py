@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import mbap_adu, rtu_adu
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.sources.read_only import MAX_WAITING, ReadOnlyScreen, only_reads

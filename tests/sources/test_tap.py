@@ -26,9 +26,8 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
-from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.ports.clock import now_ns
-from mbtool.ports.connection_limits import ConnectionLimits
+from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 from mbtool.sources import relay
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.relay import _why

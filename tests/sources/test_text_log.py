@@ -8,6 +8,7 @@ import pytest
 
 from mbtool.core import InputError, WireEvent
 from mbtool.modbus import rtu_adu
+from mbtool.sources.files import open_capture
 from mbtool.sources.text_frames import Label, TextFrames, whole_frames
 from mbtool.sources.text_marks import DateOrder, find_time, iso_ns
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -236,3 +237,157 @@ def test_a_date_in_the_other_order_is_no_time() -> None:
     assert order.read(time, first) - order.read(time, second) == 86_400 * 10**9
     with pytest.raises(ValueError, match="no month"):
         order.read(time, third)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "starts"),
+    [
+        (["1705752000", "1705752001"], [0, 1]),
+        (["[1705752000]", "[1705752001]"], [0, 1]),
+        (["1705752000.25", "1705752001.5"], [0.25, 1.5]),
+        (["(1705752000.250000)", "(1705752001.500000)"], [0.25, 1.5]),
+        ([" (1705752000.250000)", " (1705752001.500000)"], [0.25, 1.5]),
+        (["1705752000250", "1705752001500"], [0.25, 1.5]),
+        (["1705752000250000", "1705752001500000"], [0.25, 1.5]),
+        (["1705752000250000000", "1705752001500000000"], [0.25, 1.5]),
+    ],
+)
+def test_a_number_of_seconds_since_1970_is_a_time_with_its_date(
+    tmp_path: Path, numbers: list[str], starts: list[float]
+) -> None:
+    assert _starts(tmp_path / "log.txt", numbers, "2024-01-20 12:00:00") == starts
+
+
+def test_a_frame_at_the_front_that_looks_like_a_time_is_no_time(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    request, response = rtu_adu(17, bytes.fromhex("0300030001")), rtu_adu(17, b"\x03\x02\0\x07")
+    path.write_text(f"{request.hex()} sent\n{response.hex()} received\n" * 3)
+    assert request.hex().startswith("1103000300")
+    assert _told(_read(path)) == [(3, "ok")] * 3
+
+
+def _can_lines(frame: bytes, head: str, form: str) -> str:
+    pieces = [frame[at : at + 8] for at in range(0, len(frame), 8)]
+    if form == "log":
+        return "".join(f"{head} can0 {581}#{piece.hex().upper()}\n" for piece in pieces)
+    return "".join(
+        f" {head}  can0  581   [{len(piece)}]  {piece.hex(' ').upper()}\n" for piece in pieces
+    )
+
+
+@pytest.mark.parametrize("form", ["log", "table"])
+def test_a_response_in_pieces_of_eight_bytes_is_joined(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "can.txt"
+    path.write_text(
+        "".join(
+            _can_lines(one.data, f"({one.ms / 1000 + 1_705_752_000:.6f})", form)
+            for one in conversation()
+        )
+    )
+    assert _told(_read(path)) == expected()
+
+
+def test_a_response_that_the_log_does_not_show_whole_is_not_blamed_on_the_slave(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "log.txt"
+    for transport in ("rtu", "tcp"):
+        lines = [
+            f"{one.time:%H:%M:%S} {'TX' if one.is_request else 'RX'}: "
+            f"{one.data[: None if one.is_request else -3].hex(' ')}"
+            for one in conversation(transport)
+        ]
+        path.write_text("\n".join(lines))
+        told = [str(one.outcome) for one in _read(path)]
+        assert told.count("no-answer") == 1
+        assert told.count("not-captured") >= 7
+
+
+def test_a_response_with_a_wrong_crc_is_told_as_one(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    lines = []
+    for one in conversation():
+        data = one.data if one.is_request else one.data[:-1] + bytes((one.data[-1] ^ 0x40,))
+        lines.append(f"{one.time:%H:%M:%S} {'TX' if one.is_request else 'RX'}: {data.hex(' ')}")
+    path.write_text("\n".join(lines))
+    reading = Reading([str(path)], ReadingOptions())
+    events = [str(one.kind) for one in reading.records() if isinstance(one, WireEvent)]
+    assert events == ["bad-check"] * 7
+
+
+def test_zeros_in_a_log_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    text = FORMS["pymodbus"](conversation()).encode()
+    middle = text.index(b"\n", len(text) // 2) + 1
+    for zeros in (8, 5000):
+        path.write_bytes(bytes(zeros) + text[:middle] + bytes(zeros) + text[middle:])
+        assert _told(_read(path)) == expected()
+
+
+def test_zeros_alone_are_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_bytes(bytes(5000))
+    with pytest.raises(InputError, match="begins with 00 00"):
+        _read(path)
+
+
+def _remarks(path: Path, text: str) -> str:
+    path.write_text(text)
+    with open_capture(path) as capture:
+        list(capture.serial(None)[1])
+        return capture.remark or ""
+
+
+def test_times_that_go_back_are_told(tmp_path: Path) -> None:
+    said = conversation()
+    text = "".join(f"{one.time:%H:%M:%S} TX: {one.data.hex(' ')}\n" for one in [*said, *said])
+    assert "its times go back 1 time, first in line 16" in _remarks(tmp_path / "log.txt", text)
+    assert "go back" not in _remarks(tmp_path / "log.txt", text[: len(text) // 2])
+
+
+@pytest.mark.parametrize(
+    ("dates", "is_guessed"),
+    [
+        (["05/06/2024", "05/06/2024"], True),
+        (["05-06-2024", "05-06-2024"], True),
+        (["05/06/2024", "06/06/2024"], False),
+        (["05/06/2024", "13/06/2024"], False),
+        (["05.06.2024", "05.06.2024"], False),
+    ],
+)
+def test_an_order_of_day_and_month_that_nothing_shows_is_told(
+    tmp_path: Path, dates: list[str], is_guessed: bool
+) -> None:
+    said = zip(conversation(), dates * 8, strict=False)
+    text = "".join(f"{date} 12:00:00 TX: {one.data.hex(' ')}\n" for one, date in said)
+    told = _remarks(tmp_path / "log.txt", text)
+    assert (f"; {dates[0]} is read as month, day" in told) == is_guessed
+
+
+def test_the_number_that_changes_at_midnight_is_the_day(tmp_path: Path) -> None:
+    heads = ["05/06/2024 23:59:59", "06/06/2024 00:00:01"]
+    assert _starts(tmp_path / "log.txt", heads, "2024-06-05 23:59:59") == [0, 2]
+    heads = ["05/06/2024 23:59:59", "05/07/2024 00:00:01"]
+    assert _starts(tmp_path / "log.txt", heads, "2024-05-06 23:59:59") == [0, 2]
+
+
+def test_a_table_of_times_and_whole_frames_is_a_text_log(tmp_path: Path) -> None:
+    path = tmp_path / "frames.csv"
+    rows = "".join(f"{one.ms / 1000:.3f},{one.data.hex()}\n" for one in conversation())
+    path.write_text(f"t_start_s,hex\n{rows}")
+    assert _told(_read(path)) == expected()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Connected\n[01][03][00][00][00][01][84][0A]\nERROR Bad file descriptor\n",
+        "0000 | 01 03 02 00 07 f9 86 | ...\nnext\n0000 | 01 03 02 00 08 b9 82 | ...\n",
+        "Transport - TX: 1, 3, 0, 22, 0, 2, 37, 207\n",
+        "<< writing 01 03 00 00 00 01 84 0A to COM4\ngot (00 01 03 02 00 07)\n",
+    ],
+)
+def test_a_short_log_of_few_frames_counts(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text(text)
+    assert {function for function, _ in _told(_read(path))} == {3}

@@ -395,17 +395,46 @@ def powershell(said: Sequence[Said]) -> str:
     )
 
 
+def listed(said: Sequence[Said]) -> str:
+    """Decimal numbers without brackets, as libraries for .NET write them."""
+    return "\n".join(
+        f"Transport - {'TX' if one.is_request else 'RX'}: {', '.join(map(str, one.data))}"
+        for one in said
+    )
+
+
+def dashed(said: Sequence[Said]) -> str:
+    """Decimal numbers between dashes, as a library for Python writes them."""
+    return "\n".join(
+        f"{_iso(one, ',')}\tDEBUG\texecute\t{'->' if one.is_request else '<-'} "
+        + "-".join(map(str, one.data))
+        for one in said
+    )
+
+
+def piped(said: Sequence[Said]) -> str:
+    """A dump whose offset and characters are behind bars."""
+    lines = []
+    for one in said:
+        lines.append(f"{_iso(one)} INFO | bus | {'sent' if one.is_request else 'received'} data")
+        for at in range(0, len(one.data), 16):
+            row = one.data[at : at + 16]
+            lines.append(f"  {at:04x} | {row.hex(' '):<48} | {'.' * len(row)}")
+    return "\n".join(lines)
+
+
 _FORMS: tuple[Callable[[Sequence[Said]], str], ...] = (
     pymodbus, pymodbus_pieces, libmodbus, libmodbus_slave, esphome, go_client, minimal,
     poll_window, bus_monitor, arrows, tasmota, gateway, node, docklight, terminal, irp, per_byte,
     headed, socat, system_calls, hexdump, xxd, samples, table, python_bytes, decimals, kernel,
-    device, container, syslog, powershell,
+    device, container, syslog, powershell, listed, dashed,
+    piped,
 )  # fmt: skip
 FORMS = {each.__name__: each for each in _FORMS}
 TIMED = {
     "pymodbus", "pymodbus_pieces", "esphome", "go_client", "bus_monitor", "tasmota", "gateway",
     "docklight", "irp", "headed", "socat", "system_calls", "table", "kernel", "device",
-    "container", "syslog", "powershell",
+    "container", "syslog", "powershell", "dashed", "piped",
 }  # fmt: skip
 """The forms that have times."""
 BY_WORD = set(FORMS) - {"terminal", "hexdump", "xxd"}

@@ -104,7 +104,8 @@ def test_answers_after_the_time_out_are_late(plant: Plant, seconds: float, timin
 def test_a_late_unit_is_told_with_its_latency_and_the_masters_time_out() -> None:
     trouble = worst(judged(Plant(latency={**QUICK, 2: 700}).run(60)))
     assert trouble.sentence.startswith(
-        "unit 2 answers after 0.70 s, the master waits 0.51 s: 60 of 60 answers come too late: "
+        "unit 2 answers 0.70 s after the request, the master waits 0.51 s: 60 of 60 answers come "
+        "too late: "
         "raise the master's time-out above "
     )
 
@@ -177,6 +178,11 @@ def test_a_constant_byte_beside_frames_is_missing_bias(
     assert f"a byte {byte:02X}H that nobody sends" in trouble.cause
     if timing == EXACT and of == "answers":
         assert f"{'before' if ahead else 'behind'} answers" in trouble.cause
+        assert f"a slave's driver is switched {'on too early' if ahead else 'off too late'}" in (
+            trouble.cause
+        )
+    if timing == EXACT and of == "all":
+        assert trouble.cause.endswith("the idle line floats, as bias is missing")
 
 
 @every_timing

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 
 from mbtool.core import EventKind, WireEvent
@@ -115,8 +117,79 @@ def test_polls_that_wait_for_a_delayed_acknowledgement_are_a_note() -> None:
     records += [asked(500 * at + 200, 9, latency_ms=200 + at % 3) for at in range(30)]
     trouble = of_code(judged(records), "NET-DELAYED-ACK")
     assert trouble.severity is Severity.NOTE
-    assert trouble.cause.startswith("1 poll of unit 1 take")
+    assert trouble.cause.startswith("1 poll of unit 1 takes 2")
     assert serious(judged(records)) == []
+
+
+def test_messages_in_two_parts_that_wait_for_an_acknowledgement_are_a_note() -> None:
+    answers = [asked(500 * at, latency_ms=3) for at in range(60)]
+    answers[:20] = [
+        msgspec.structs.replace(one, response_ns=one.response_ns + 200 * MS) for one in answers[:20]
+    ]
+    trouble = of_code(judged(answers), "NET-DELAYED-ACK")
+    assert (trouble.unit, trouble.count, trouble.of) == (1, 20, 60)
+    assert trouble.cause.startswith(
+        "20 answers of unit 1 come in two segments, the second 200 ms after the first"
+    )
+    requests = [asked(500 * at, request_parts_ns=40 * MS) for at in range(60)]
+    trouble = of_code(judged(requests), "NET-DELAYED-ACK")
+    assert (trouble.master, trouble.count) == (MASTER, 60)
+    odd = [asked(500 * at, request_parts_ns=(31 + 7 * at) * MS) for at in range(60)]
+    assert "NET-DELAYED-ACK" not in [one.code for one in judged(odd).troubles]
+
+
+def in_turn(number: int, *, is_serial: bool) -> list[Any]:
+    """Requests of two masters, at odd times. A serial server serves them one after the other."""
+    random, records, free_ms = Random(7), [], 0.0
+    asking = sorted(
+        (1000 * at + random.uniform(0, 700), master)
+        for at in range(number)
+        for master in (MASTER, "10.0.0.9")
+    )
+    for at_ms, master in asking:
+        served_ms = random.uniform(150, 350)
+        end_ms = (max(at_ms, free_ms) if is_serial else at_ms) + served_ms
+        free_ms = end_ms
+        records.append(asked(at_ms, master=master, latency_ms=end_ms - at_ms))
+    return records
+
+
+def test_masters_that_wait_for_each_other_at_a_gateway_are_told() -> None:
+    trouble = of_code(judged(in_turn(100, is_serial=True)), "NET-SHARED")
+    assert trouble.cause.startswith(f"{MASTER} and 10.0.0.9 ask {SLAVE} at once")
+    assert trouble.evidence
+
+
+def test_a_slave_that_serves_two_masters_at_once_is_not_shared() -> None:
+    told = judged(in_turn(100, is_serial=False))
+    assert "NET-SHARED" not in [one.code for one in told.troubles]
+
+
+def sent_again(at_ms: float, *, by_slave: bool = False) -> WireEvent:
+    ends = f"{MASTER}:50000", f"{SLAVE}:502"
+    source, destination = ends[::-1] if by_slave else ends
+    return WireEvent(
+        ts_ns=START_NS + round(at_ms * MS), link=SLAVE, kind=EventKind.SENT_AGAIN,
+        message="", source=source, destination=destination,
+    )  # fmt: skip
+
+
+def test_a_path_that_loses_packets_is_told() -> None:
+    records: list[Any] = []
+    for at in range(100):
+        if at % 10 == 0:
+            records += [sent_again(100 * at + 1), sent_again(100 * at + 2, by_slave=True)]
+        records.append(asked(100 * at))
+    trouble = of_code(judged(records), "NET-LOSSY")
+    assert (trouble.count, trouble.of, trouble.severity) == (20, 200, Severity.WARNING)
+    assert trouble.cause.startswith(f"20 of 200 messages between {MASTER} and {SLAVE} are sent")
+
+
+def test_what_is_sent_again_to_a_dead_host_is_no_loss() -> None:
+    records: list[Any] = [asked(100 * at) for at in range(100)]
+    for at in range(20):
+        records += [missing(20_000 + 1000 * at), sent_again(20_300 + 1000 * at)]
+    assert "NET-LOSSY" not in [one.code for one in judged(records).troubles]
 
 
 def test_a_slave_that_always_takes_long_is_not_told_of_acknowledgements() -> None:
@@ -159,6 +232,13 @@ def test_two_addresses_of_one_host_in_its_own_network_are_told() -> None:
     assert trouble.who == SLAVE
     assert own in trouble.cause
     assert other in trouble.cause
+
+
+def test_a_host_whose_answers_come_from_another_address_than_is_asked_is_told() -> None:
+    own, other = "00:00:00:00:00:01", "00:00:00:00:00:66"
+    records = [asked(100 * at, destination_mac=other, response_mac=own) for at in range(60)]
+    trouble = of_code(judged(records), "NET-TWO-MACS")
+    assert (trouble.who, trouble.count, trouble.of) == (SLAVE, 60, 120)
 
 
 def test_a_router_and_a_replaced_device_are_no_second_device() -> None:
@@ -219,6 +299,7 @@ def test_lost_connections_are_told_with_how_they_ended() -> None:
         ("antoine-lemay__Modbus_dataset/send_a_fake_command_modbus_6RTU_with_operate.pcap",
          "NET-ROLE"),
         ("ITI__ICS-Security-Tools/mb2.pcap", "NET-DELAYED-ACK"),
+        ("ITI__ICS-Security-Tools/Modbus__modbus_test.pcap", "NET-SHARED"),
     ],
 )  # fmt: skip
 def test_illnesses_in_captures_of_others_are_named(name: str, code: str) -> None:

@@ -19,7 +19,7 @@ def test_a_failure_stands_in_its_case() -> None:
     ]
     assert junit_xml("a.mcap", cases).splitlines() == [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        '<testsuite name="a.mcap" tests="3" failures="1" errors="1" skipped="0" time="0.001500">',
+        '<testsuite name="a.mcap" tests="3" failures="1" errors="1" skipped="0" time="0.002">',
         '  <testcase classname="unit 1" name="03 read holding" time="0.001500" />',
         '  <testcase classname="unit 1" name="HR400001" time="0.000000">',
         '    <failure message="7 became 8" type="failure">7 became 8',

@@ -472,7 +472,7 @@ def test_nothing_is_shown_of_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("address", "host"),
-    [("10.0.0.1:502", "10.0.0.1"), ("[fe80::1]:502", "fe80::1"), (None, ""), ("odd", "")],
+    [("10.0.0.1:502", "10.0.0.1"), ("[fe80::1]:502", "fe80::1"), (None, ""), ("odd", "odd")],
 )
 def test_an_address_has_a_host(address: str | None, host: str) -> None:
     assert host_of(address) == host

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import SerialFormat
-from mbtool.core.line_settings import parse_line
+from mbtool.core.link_spec import parse_line
 from mbtool.modbus import rtu_adu
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.shared.reading import ReadingOptions

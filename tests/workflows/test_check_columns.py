@@ -13,11 +13,18 @@ from mbtool.core import Direction, InputError
 from mbtool.devices.checking import checker
 from mbtool.devices.checking.checker import Checker
 from mbtool.modbus import encode_pdu
-from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
+from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-from tests.benchmarks.file_workloads import clean, dirty, make_capture, random_requests, scan
+from tests.benchmarks.file_workloads import (
+    clean,
+    dirty,
+    make_capture,
+    per_poll,
+    random_requests,
+    scan,
+)
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
 from tests.columns.sunspec_capture import sunspec_capture
@@ -49,7 +56,7 @@ def found_of_few(path: Path) -> Found:
 
 def found(path: Path, at_least: int) -> Found:
     """The findings of a capture; it is read as arrays if it has at least so many bytes."""
-    with patch.object(check, "LARGE", at_least):
+    with patch.object(reading_choice, "WORTH_BYTES", at_least):
         run = CheckRun([str(path)], ReadingOptions())
     findings: list[FileFinding] = []
     error = None
@@ -92,7 +99,9 @@ def test_the_findings_of_simulated_plants_are_the_same_both_ways(
     assert demand_equal(path)
 
 
-@pytest.mark.parametrize("frames", [random_requests, scan], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "frames", [random_requests, scan, per_poll, dirty], ids=lambda one: one.__name__
+)
 def test_the_findings_of_many_different_requests_are_the_same_both_ways(
     frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
 ) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import Endpoint, LinkError, SerialFormat, SerialLink, TcpLink, parse_link
+from mbtool.core import Endpoint, SerialFormat, SerialLink, TcpLink, parse_link
 from mbtool.devices import builtin_profiles, load_profile, parse_span
 from mbtool.master.wire import open_wire
 from mbtool.modbus.adu import Transport
 from mbtool.sources.virtual_line import VirtualLine
+from mbtool.workflows.ask import transport_of
 from mbtool.workflows.conformance import Conformance, Result
 from mbtool.workflows.slave import device_slave
 
@@ -19,31 +20,66 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from mbtool.core import LinkSpec
     from mbtool.workflows.conformance import CaseResult
 
 FAST = SerialFormat(baud=115200, parity="N")
-TIMEOUT_NS = 3_000_000_000
 UNIT = 5
 TOUCH = "idec-ft1a-touch"
 COUPLER = "wago-750"
-FAULTS: dict[str, dict[str, Any]] = {
-    "no answer": {"kind": "no-answer"},
-    "no answer to 03": {"kind": "no-answer", "functions": [3]},
-    "an exception in place of values": {"kind": "exception", "functions": [3]},
-    "another exception code": {"kind": "exception", "code": 3},
-    "another unit": {"kind": "wrong-unit"},
-    "a byte is missing": {"kind": "truncated", "bytes": 1},
-    "two bytes are missing": {"kind": "truncated", "bytes": 2},
-    "an extra byte": {"kind": "extra-bytes"},
-    "each fifth answer is missing": {"kind": "no-answer", "every": 5},
-    "answers are late": {"kind": "delay", "ms": 4000},
-}
-OF_SERIAL = {"a wrong CRC": {"kind": "bad-crc"}}
-OF_TCP = {
-    "another transaction id": {"kind": "wrong-id"},
-    "it closes": {"kind": "close"},
-    "it resets": {"kind": "reset"},
-}
+# A slave may close the connection before the next request is sent, or after that.
+WRONG_CRC, CLOSED = "got a wrong CRC: ", "the connection"
+FAULTS: tuple[tuple[str, str, str], ...] = (
+    ("rtu", "kind = 'no-answer'", "expected 1 value, got no answer"),
+    ("rtu", "kind = 'no-answer', functions = [3]", "expected 1 value, got no answer"),
+    ("rtu", "kind = 'no-answer', every = 5", "got no answer"),
+    ("rtu", "kind = 'no-answer', nth = 20, times = 1", "got no answer"),
+    ("rtu", "kind = 'exception', functions = [3]", "got exception 04 server device failure"),
+    ("rtu", "kind = 'exception', code = 3", "got exception 03 illegal data value"),
+    ("rtu", "kind = 'exception', code = 6, every = 7", "got exception 06 server device busy"),
+    ("rtu", "kind = 'exception', registers = 'holding 9'", "got exception 04"),
+    ("rtu", "kind = 'wrong-unit'", "expected unit 5 in the answer, got unit 6"),
+    ("rtu", "kind = 'wrong-unit', by = 3, functions = [1]", "in the answer, got unit 8"),
+    ("rtu", "kind = 'truncated'", "got 5 bytes, where the answer has 6"),
+    ("rtu", "kind = 'truncated', bytes = 2", "got 4 bytes, where the answer has 6"),
+    (
+        "rtu",
+        "kind = 'truncated', bytes = 4, functions = [3]",
+        "got 3 bytes, where the answer has 7",
+    ),
+    ("rtu", "kind = 'extra-bytes'", "got 1 byte of values and 1 byte behind them"),
+    ("rtu", "kind = 'extra-bytes', bytes = 'ff00'", "got ff 00 behind the answer"),
+    ("rtu", "kind = 'bad-crc'", WRONG_CRC),
+    ("rtu", "kind = 'bad-crc', every = 9", WRONG_CRC),
+    ("rtu", "kind = 'bad-crc', functions = [2]", WRONG_CRC),
+    ("rtu", "kind = 'split', gap_ms = 100", "the answer pauses "),
+    ("rtu", "kind = 'split', pieces = 3, gap_ms = 80, functions = [3]", "the answer pauses "),
+    ("rtu", "kind = 'delay', ms = 4000", "got the answer only after 4."),
+    ("rtu", "kind = 'delay', ms = 4000, every = 11", "got the answer only after 4."),
+    ("ascii", "kind = 'bad-crc'", "got a wrong LRC: f6, right is f9"),
+    ("ascii", "kind = 'truncated'", "got a frame without its end, CR LF"),
+    ("ascii", "kind = 'extra-bytes', bytes = '3a'", "expected nothing behind the answer, got 3a"),
+    ("ascii", "kind = 'wrong-unit'", "expected unit 5 in the answer, got unit 6"),
+    ("ascii", "kind = 'no-answer', functions = [3]", "expected 1 value, got no answer"),
+    ("tcp", "kind = 'no-answer'", "expected 1 value, got no answer"),
+    ("tcp", "kind = 'no-answer', functions = [3]", "got no answer"),
+    ("tcp", "kind = 'no-answer', every = 5", "got no answer"),
+    ("tcp", "kind = 'exception', every = 4", "got exception 04 server device failure"),
+    ("tcp", "kind = 'wrong-unit'", "expected unit 5 in the answer, got unit 6"),
+    ("tcp", "kind = 'wrong-id'", "expected transaction id 0001 in the answer, got 0002"),
+    ("tcp", "kind = 'wrong-id', by = 256, every = 3", "in the answer, got 0101"),
+    ("tcp", "kind = 'truncated'", "got 9 bytes of an ADU of 10: "),
+    ("tcp", "kind = 'truncated', bytes = 3, every = 6", "got 7 bytes of an ADU of 10: "),
+    ("tcp", "kind = 'extra-bytes'", "expected nothing behind the answer, got 00"),
+    ("tcp", "kind = 'close'", CLOSED),
+    ("tcp", "kind = 'close', every = 10", CLOSED),
+    ("tcp", "kind = 'reset'", CLOSED),
+    ("tcp", "kind = 'delay', ms = 4000", "got the answer only after 4."),
+    ("rtu+tcp", "kind = 'bad-crc'", WRONG_CRC),
+    ("rtu+tcp", "kind = 'truncated'", "got 5 bytes, where the answer has 6"),
+    ("rtu+tcp", "kind = 'extra-bytes'", "got 1 byte of values and 1 byte behind them"),
+)
+"""Each fault of `slave --fault` on a link, and how the first case that fails tells it."""
 
 
 def of_transport(name: str, transport: Transport) -> bool:
@@ -60,30 +96,31 @@ def results(
     stack: ExitStack,
     name: str,
     *,
-    is_serial: bool,
-    fault: dict[str, Any] | None = None,
+    transport: str,
+    fault: str | None = None,
     writes: tuple[str, ...] = (),
     folder: Path | None = None,
     ends_early: bool = False,
+    timeout_s: float = 3.0,
 ) -> list[CaseResult]:
     profile = load_profile(name)
     faults = None
     if fault is not None:
         assert folder is not None
         faults = folder / "fault.toml"
-        lines = "\n".join(f"{key} = {value!r}" for key, value in fault.items())
-        faults.write_text(f"[[faults]]\n{lines}\n".replace("'", '"'))
-    if is_serial:
+        faults.write_text(f"faults = [{{ {fault} }}]")
+    if transport in ("rtu", "ascii"):
         line = stack.enter_context(VirtualLine(ends=2, format=FAST))
-        theirs, ours = (SerialLink(port, FAST) for port in line.ports)
-        slave = device_slave(profile, theirs, UNIT, fault_file=faults)
+        theirs, ours = (SerialLink(port, FAST, ascii=transport == "ascii") for port in line.ports)
+        stack.enter_context(device_slave(profile, theirs, UNIT, fault_file=faults))
+        link: LinkSpec = ours
     else:
-        slave = device_slave(profile, TcpLink(Endpoint("127.0.0.1", 0)), UNIT, fault_file=faults)
-    stack.enter_context(slave)
-    link = ours if is_serial else parse_link(slave.place, "the slave")
-    known = profile.in_mode(Transport.RTU if is_serial else Transport.TCP)
+        endpoint = TcpLink(Endpoint("127.0.0.1", 0), rtu=transport == "rtu+tcp")
+        slave = stack.enter_context(device_slave(profile, endpoint, UNIT, fault_file=faults))
+        link = parse_link(slave.place, "the slave")
+    known = profile.in_mode(transport_of(link))
     spans = [parse_span(text, [known]) for text in writes]
-    with open_wire(link, TIMEOUT_NS, 0) as wire:
+    with open_wire(link, round(timeout_s * 1e9), 0) as wire:
         work = Conformance(known, link, wire, UNIT)
         return list(work.run(spans, lambda: ends_early and bool(failed(work.report.cases))))
 
@@ -94,7 +131,7 @@ def test_the_embedded_slave_passes_with_rtu_over_tcp(stack: ExitStack) -> None:
         device_slave(profile, TcpLink(Endpoint("127.0.0.1", 0), rtu=True), UNIT)
     )
     link = parse_link(slave.place, "the slave")
-    with open_wire(link, TIMEOUT_NS, 0) as wire:
+    with open_wire(link, 3_000_000_000, 0) as wire:
         known = profile.in_mode(Transport.RTU_TCP)
         cases = list(Conformance(known, link, wire, UNIT).run())
     assert len(cases) > 40
@@ -109,7 +146,7 @@ def failed(cases: list[CaseResult]) -> list[str]:
     "name", [one for one in builtin_profiles() if of_transport(one, Transport.TCP)]
 )
 def test_the_embedded_slave_of_a_profile_passes_on_tcp(stack: ExitStack, name: str) -> None:
-    cases = results(stack, name, is_serial=False)
+    cases = results(stack, name, transport="tcp")
     assert len(cases) > 40
     assert failed(cases) == []
 
@@ -118,41 +155,59 @@ def test_the_embedded_slave_of_a_profile_passes_on_tcp(stack: ExitStack, name: s
     "name", [one for one in builtin_profiles() if of_transport(one, Transport.RTU)]
 )
 def test_the_embedded_slave_of_a_profile_passes_on_a_line(stack: ExitStack, name: str) -> None:
-    cases = results(stack, name, is_serial=True)
+    cases = results(stack, name, transport="rtu")
     assert len(cases) > 40
     assert failed(cases) == []
 
 
-@pytest.mark.parametrize(
-    ("is_serial", "what"),
-    [
-        *((True, what) for what in FAULTS | OF_SERIAL),
-        *((False, what) for what in FAULTS | OF_TCP),
-    ],
-)
-def test_a_fault_is_found(stack: ExitStack, tmp_path: Path, *, is_serial: bool, what: str) -> None:
-    fault = (FAULTS | OF_SERIAL | OF_TCP)[what]
-    name = TOUCH if is_serial else COUPLER
-    try:
-        cases = results(
-            stack, name, is_serial=is_serial, fault=fault, folder=tmp_path, ends_early=True
-        )
-    except LinkError:
-        assert what in ("it closes", "it resets")
-        return
-    assert failed(cases)
+@pytest.mark.parametrize(("transport", "fault", "told"), FAULTS)
+def test_a_fault_is_named(
+    stack: ExitStack, tmp_path: Path, transport: str, fault: str, told: str
+) -> None:
+    name = COUPLER if transport == "tcp" else TOUCH
+    cases = results(stack, name, transport=transport, fault=fault, folder=tmp_path, ends_early=True)
+    assert told in failed(cases)[0]
+
+
+@pytest.mark.parametrize("transport", ["rtu", "tcp"])
+def test_a_test_of_a_unit_that_answers_nothing_ends_soon(
+    stack: ExitStack, tmp_path: Path, transport: str
+) -> None:
+    name = COUPLER if transport == "tcp" else TOUCH
+    cases = results(stack, name, transport=transport, fault="kind = 'no-answer'", folder=tmp_path)
+    assert failed(cases)[3:] == [
+        "the unit answers: no answer to 3 requests; the other cases were not run"
+    ]
+
+
+def test_a_unit_that_answers_one_function_of_two_is_tested_to_the_end(
+    stack: ExitStack, tmp_path: Path
+) -> None:
+    fault = "kind = 'no-answer', functions = [1, 2]"
+    cases = results(stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, timeout_s=0.2)
+    assert len([one for one in cases if one.name.startswith("03 ")]) > 20
+    assert len([one for one in cases if "got no answer" in one.problem]) > 40
 
 
 def test_a_written_value_is_read_back_and_put_back(stack: ExitStack) -> None:
-    cases = results(stack, TOUCH, is_serial=True, writes=("holding 0..2", "coil 0"))
+    cases = results(stack, TOUCH, transport="rtu", writes=("holding 0..2", "coil 0"))
     names = [one.name for one in cases if "put back" in one.name]
     assert len(names) == 4
     assert failed(cases) == []
 
 
 def test_a_register_that_keeps_its_value_is_found(stack: ExitStack, tmp_path: Path) -> None:
-    fault = {"kind": "stuck", "registers": "holding 1"}
+    fault = "kind = 'stuck', registers = 'holding 1'"
     cases = results(
-        stack, TOUCH, is_serial=True, fault=fault, folder=tmp_path, writes=("holding 0..2",)
+        stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, writes=("holding 0..2",)
     )
     assert failed(cases) == ["06 1: write, read back, put back: expected 1 to be read back, got 0"]
+
+
+def test_values_that_are_not_as_written_are_found(stack: ExitStack, tmp_path: Path) -> None:
+    fault = "kind = 'offset', registers = 'holding 2'"
+    cases = results(
+        stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, writes=("holding 0..2",)
+    )
+    (told,) = failed(cases)
+    assert told.startswith("06 2: write, read back, put back: expected ")

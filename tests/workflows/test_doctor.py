@@ -37,7 +37,7 @@ def test_an_old_python_is_broken() -> None:
 
 def test_a_missing_extra_comes_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "EXTRAS", {"watch": ("no_such_module",)})
-    wanted = ["rich>=13", "textual<9,>=8.2; extra == 'watch'", "numpy; extra == 'columns'"]
+    wanted = ["rich>=13", "textual<9,>=8.2; extra == 'watch'", "pyarrow; extra == 'columns'"]
     monkeypatch.setattr("importlib.metadata.requires", lambda _: wanted)
     found = checks()["extra watch"]
     assert found.state is CheckState.MISSING

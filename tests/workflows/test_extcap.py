@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, Quiet, WireEvent
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, Namer, parse_assignment
-from mbtool.packets.line_packets import RAW_IPV4, LinePacket
-from mbtool.packets.serial_packets import RTAC_SERIAL
+from mbtool.packets.line_packets import RAW_IPV4, RTAC_SERIAL, LinePacket
 from mbtool.sources.files import open_capture
 from mbtool.workflows.extcap import LivePackets
 from mbtool.workflows.shared.reading import Reading, ReadingOptions

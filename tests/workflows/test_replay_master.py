@@ -17,13 +17,14 @@ import pytest
 from mbtool.core import InputError, UsageError, parse_link
 from mbtool.core.limits import LinkLimits
 from mbtool.master.links import MasterLink, ReceivedResponse
-from mbtool.modbus import Response
+from mbtool.modbus import Outcome, Response
 from mbtool.modbus.adu import Transport
 from mbtool.replay import Control, TimeRange, Tolerance
 from mbtool.slave.shells import open_shell
 from mbtool.workflows import replay_master
 from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report, junit
 from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.recorded import read_recorded
 from tests.packets.building import pcap
 from tests.slave.scripted import Scripted
 from tests.views.junit_rules import demand_junit
@@ -32,6 +33,7 @@ from tests.workflows.evidence import READ, VALUES, WRITE, capture_file, capture_
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.devices import NamedTransaction
     from mbtool.replay import Progress, Step
 
 LINE = Path(__file__).resolve().parents[2] / "captures" / "ft1a-touch-line.mcap"
@@ -49,6 +51,11 @@ def capture(tmp_path: Path) -> Path:
 def _run(path: Path, **options: object) -> MasterRun:
     given = {"reading": ReadingOptions(), "rate": None, "timeout_ns": 20_000_000_000, **options}
     return MasterRun(str(path), MasterOptions(**given))  # type: ignore[arg-type]
+
+
+def _transactions() -> list[NamedTransaction]:
+    recorded = read_recorded(str(LINE.with_name("retry-after-silence.mcap")), MasterOptions())
+    return [one for one in recorded.transactions if one.outcome is Outcome.OK]
 
 
 def _report(
@@ -226,6 +233,48 @@ def test_registers_can_be_ignored_or_learned(capture: Path) -> None:
     learning = _run(capture, learns=True)
     report = _report(learning, lambda _, __: Response(OTHER_VALUES))
     assert (report.differences, report.learned) == ([], ["holding 1"])
+
+
+def test_an_answer_that_is_damaged_in_the_recording_is_no_expectation(tmp_path: Path) -> None:
+    torn = LINE.with_name("torn-and-glued-frames.mcap")  # One answer has a wrong CRC.
+    report = _report(_run(torn), lambda _, __: Response(VALUES))
+    assert (report.requests, report.different, report.damaged) == (8, 0, 1)
+    malformed = tmp_path / "a.pcap"
+    malformed.write_bytes(capture_of([(READ, VALUES), (READ, b"\x03\x03\x12\x34\x56")]))
+    report = _report(_run(malformed), lambda _, __: Response(VALUES))
+    assert (report.requests, report.different, report.damaged) == (2, 0, 1)
+
+
+def test_an_answer_that_came_too_late_for_its_master_is_no_expectation() -> None:
+    ours = [msgspec.structs.replace(one, outcome=Outcome.LATE) for one in _transactions()]
+    (late, *rest), count = replay_master._without_damage([*ours[:1], *_transactions()[1:]], [])
+    assert (late.outcome, late.response_raw, count) == (Outcome.NOT_CAPTURED, None, 1)
+    assert [one.outcome for one in rest] == [Outcome.OK] * len(rest)
+
+
+def test_silence_in_the_recording_stays_an_expectation() -> None:
+    silent = LINE.with_name("retry-after-silence.mcap")
+    report = _report(_run(silent, ignore=["holding 0"]), lambda _, __: Response(VALUES))
+    assert (report.different, report.damaged) == (1, 0)
+
+
+def test_another_unit_is_asked_than_the_recorded_one(capture: Path) -> None:
+    asked: list[int] = []
+
+    def answer(unit: int, _: bytes) -> Response:
+        asked.append(unit)
+        return Response(VALUES)
+
+    report = _report(_run(capture, units={1: 9}), answer)
+    assert (asked, report.different, [one.unit for one in report.asked]) == ([9] * 3, 0, [1])
+    with pytest.raises(UsageError, match=r"--unit 7=1: .* asks unit 1"):
+        _run(capture, units={7: 1})
+
+
+def test_values_may_differ_by_what_is_tolerated(capture: Path) -> None:
+    for text, different in (("holding 1=22135", 0), ("holding 1=22134", 3)):
+        report = _report(_run(capture, tolerate=[text]), lambda _, __: Response(OTHER_VALUES))
+        assert report.different == different
 
 
 def test_late_answers_can_count(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_slave_that_is_named_answers_where_it_is_told(site: str) -> None:
         (["=tcp:127.0.0.1"], "device '': WHO is"),
         (["all=net:eth0"], "a slave needs rtu:PORT"),
         (["all=tcp:127.0.0.0/33"], "does not appear to be"),
-        (["all=tcp:127.0.0.0/24:70000"], "70000 is no TCP port"),
+        (["all=tcp:127.0.0.0/24:70000"], "70000 is no port"),
     ],
 )
 def test_a_wrong_link_is_one_line(site: str, on: list[str], message: str) -> None:

@@ -12,7 +12,7 @@ from mbtool.core import InputError, TcpLink, UsageError, parse_line, parse_link
 from mbtool.devices import NamedTransaction
 from mbtool.master.links import open_master
 from mbtool.modbus import Transport, mbap_adu
-from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.response import wire_pieces
 from mbtool.query.where import parse_where
 from mbtool.replay import Control, MatchStrategy, OnMiss, TimeRange
 from mbtool.slave.shells import TcpSlave

@@ -16,8 +16,9 @@ from mbtool.ledger import account
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.values import values
 from mbtool.views.report import late_answers, transaction_rows
-from mbtool.workflows import check, report
+from mbtool.workflows import report
 from mbtool.workflows.report import ReportRun
+from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.benchmarks.file_workloads import clean, dirty, make_capture
 from tests.columns.both_ways import generated
@@ -37,7 +38,7 @@ READ = encode_pdu(3, Direction.REQUEST, address=0, quantity=1)
 
 def page_of(path: Path, at_least: int, *, everything: bool = False) -> tuple[Any, list[str]]:
     """What the page shows; the capture is read as arrays if it has at least so many bytes."""
-    with patch.object(check, "LARGE", at_least):
+    with patch.object(reading_choice, "WORTH_BYTES", at_least):
         run = ReportRun([str(path)], ReadingOptions(), everything=everything)
     run.read()
     document = Page(run.page()).document

@@ -176,7 +176,7 @@ def test_a_unit_that_answers_no_more_is_left() -> None:
     units = Units({2: answer})
     work = Scan(units.ask, ScanState(link="line"), is_tcp=False)
     list(work.registers(2, range(10_000)))
-    assert len(units.asked) < 20
+    assert len(units.asked) < 30
     assert "unit 2 answers no more" in work.state.remarks[0]
 
 
@@ -224,3 +224,32 @@ def test_a_device_that_refuses_addresses_as_wrong_values_is_read_in_whole_blocks
     ]
     assert sum(unit == 5 for unit, _ in units.asked) < 500
     assert sum(unit == 6 for unit, _ in units.asked) < 500
+
+
+def test_a_unit_that_answers_each_request_with_a_failure_is_left_soon() -> None:
+    units = Units({4: lambda pdu: bytes([pdu[0] | 0x80, 4])})
+    work = Scan(units.ask, ScanState(link="tcp"), is_tcp=True)
+    list(work.registers(4, range(10_000)))
+    assert len(units.asked) < 120
+    assert work.state.areas == []
+
+
+def test_a_unit_that_refuses_addresses_with_a_failure_is_read_all_the_same() -> None:
+    def answer(pdu: bytes) -> bytes | None:
+        response = registers({*range(10), *range(500, 520)})(pdu)
+        return bytes.fromhex("83 04") if response == REFUSED else response
+
+    found = areas_of(Units({5: answer}), 5, 999)
+    assert [(one.first, one.last) for one in found] == [(0, 9), (500, 519)]
+
+
+def test_a_read_whose_answer_is_lost_is_repeated() -> None:
+    count = 0
+
+    def answer(pdu: bytes) -> bytes | None:
+        nonlocal count
+        count += 1
+        return None if count % 3 == 0 else registers({*range(17), *range(93, 140)})(pdu)
+
+    found = areas_of(Units({7: answer}), 7, 999)
+    assert [(one.first, one.last) for one in found] == [(0, 16), (93, 139)]

@@ -36,7 +36,7 @@ def test_a_heartbeat_counts_what_was_heard_and_what_was_lost(tmp_path: Path) -> 
     )
     log.write(lost)
     log.tick(START_NS)
-    log.tick(START_NS + SECOND_NS)
+    log.tick(START_NS + SECOND_NS - 1)
     status = read_status(path)
     numbers = heartbeat_numbers(status)
     assert status.heartbeat["state"] == "recording"
@@ -48,6 +48,20 @@ def test_a_heartbeat_counts_what_was_heard_and_what_was_lost(tmp_path: Path) -> 
     assert heartbeat_numbers(read_status(path))["ts_ns"] == START_NS + HEARTBEAT_NS
     log.close({})
     assert read_status(path).heartbeat["state"] == "ended"
+
+
+def test_a_recording_that_has_just_begun_has_a_heartbeat_soon(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    log = heartbeat_log(path, [])
+    told = set()
+    for second in range(200):
+        log.write(chunk(second))
+        log.tick(START_NS + second * SECOND_NS)
+        told.add(heartbeat_numbers(read_status(path))["ts_ns"])
+    log.close({})
+    assert sorted((each - START_NS) // SECOND_NS for each in told) == [
+        0, 1, 3, 7, 15, 31, 63, 123, 183,
+    ]  # fmt: skip
 
 
 def test_a_link_that_is_lost_is_told_at_once_and_so_is_its_return(tmp_path: Path) -> None:

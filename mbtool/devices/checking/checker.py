@@ -75,7 +75,9 @@ class Checker:
         else:
             yield from self._transaction(record)
 
-    def feed_rows(self, rows: Q) -> Iterator[tuple[NamedTransaction | Q, Iterator[Finding]]]:
+    def feed_rows(
+        self, rows: Q
+    ) -> Iterator[tuple[NamedTransaction | WireEvent | Q, Iterator[Finding]]]:
         """Check many answered reads of slaves without profiles, with the same findings as `feed`
         for each.
 
@@ -92,8 +94,8 @@ class Checker:
                 return
             if len(rows) < _FEW * len(run.polls):
                 count = len(rows)
-            for one in rows.transactions(count):
-                yield one, self._transaction(one)
+            for one in rows.records(count):
+                yield one, self.feed(one)
             rows, count = rows.behind(count), 2 * count
 
     def _run(self, run: QuietRun) -> Iterator[Finding]:

@@ -26,7 +26,7 @@ from mbtool.devices.checking.masters import Write
 from mbtool.devices.checking.security_cases import host_of, master_text, place_text
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 MAX_WRITERS = 256
 
-_DIAGNOSTICS = 0x08
 _STOPPING_DIAGNOSTICS = {  # Application Protocol V1.1b3, 6.8.1
     0x01: "restart communications",
     0x04: "force listen only mode",
@@ -135,7 +134,7 @@ def stop_command(transaction: NamedTransaction) -> str | None:
 
     Returns None for any other request.
     """
-    if transaction.function == _DIAGNOSTICS:
+    if transaction.function == DIAGNOSTICS:
         name = _STOPPING_DIAGNOSTICS.get(transaction.sub_function or 0)
         return None if name is None else f"{name} (08/{transaction.sub_function:04X})"
     if transaction.function != _UMAS:

@@ -108,10 +108,10 @@ class ConnectionRules:
         request, so that no two requests were pending at the same time.
         """
         keys = [(one.link, one.source) for one in run.connections]
-        if not self._connections.has_room(keys):
+        if not self._connections.keeps(keys):
             return False
         for key, one in zip(keys, run.connections, strict=True):
-            known = self._connections.get(key)
+            known = self._connections.get(key) if one.opened_ns is None else None
             if known is not None and any(end > one.least_ns for _, _, end in known.recent):
                 return False
         return True
@@ -121,8 +121,10 @@ class ConnectionRules:
 
         `run` has their times and transaction ids, grouped by connection.
         """
-        yield from self._advance(run.last_response_ns)
+        yield from self._advance(max(run.last_response_ns, run.last_event_ns))
         for one in run.connections:
+            if one.opened_ns is not None:
+                self._connections.pop((one.link, one.source))
             connection = self._connections[one.link, one.source]
             connection.is_cut = False
             connection.recent.extend(one.recent)

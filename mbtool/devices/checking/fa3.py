@@ -44,7 +44,7 @@ from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.identity import answer_word
 from mbtool.devices.model import BehaviourName
 from mbtool.devices.profile_checks import has_other_data
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, WRITE_SINGLE_COIL
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
@@ -81,7 +81,6 @@ _VALUES = range(0x02, 0x0A)
 """Addresses of the values of the eight channels: RWr2 to RWr9 (input registers), and RWw2 to RWw9
 (holding registers)."""
 _REMOTE_RESET, _READ_MODEL_NAME = 0x41, 0x42
-_WRITE_SINGLE_COIL = 0x05
 _REQUEST_FLAG = "Initial data setting request flag"
 _COMPLETION_FLAG = "Initial data setting completion flag"
 
@@ -441,7 +440,7 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
     if requested == 1:
         if not module.is_requested:
             module.is_requested, module.is_completed, module.is_polled = True, False, False
-        elif transaction.function == _WRITE_SINGLE_COIL:
+        elif transaction.function == WRITE_SINGLE_COIL:
             yield transaction_finding("FA3-X5", transaction, "Y9 is set, but it is on already")
     elif requested == 0:
         if module.is_requested and not module.is_completed:

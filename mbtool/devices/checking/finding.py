@@ -77,7 +77,10 @@ def transaction_finding(
 
 def packets_of(transaction: NamedTransaction) -> tuple[int, ...]:
     """Return the numbers of the packets of request and response, as far as they are known."""
-    return _known(transaction.request_packet, transaction.response_packet)
+    request, response = transaction.request_packet, transaction.response_packet
+    if request is not None and response is not None:
+        return request, response  # The usual case.
+    return _known(request, response)
 
 
 def _known(*numbers: int | None) -> tuple[int, ...]:

@@ -24,7 +24,7 @@ from mbtool.devices.checking.silences import LineSilences, silence_before
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS, WRITE_ONE
+from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS, WRITE_ONE
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
@@ -39,7 +39,6 @@ the usual turnaround delay."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
 """A response of the same function at most so many ns after a broadcast counts as a response to
 it."""
-_DIAGNOSTICS = 0x08
 
 
 @dataclass(slots=True)
@@ -233,4 +232,4 @@ def _request(transaction: NamedTransaction) -> bytes | None:
 
 def _only_reads(function: int) -> bool:
     known = FUNCTIONS.get(function)
-    return known is not None and not known.writes and function != _DIAGNOSTICS
+    return known is not None and not known.writes and function != DIAGNOSTICS

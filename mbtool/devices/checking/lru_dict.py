@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from itertools import islice
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 
 K = TypeVar("K", bound="Hashable")
 V = TypeVar("V")
@@ -46,6 +47,17 @@ class LruDict(Generic[K, V]):
         """True if entries for all these keys fit without removing another entry."""
         new = {key for key in keys if key not in self._entries}
         return len(self._entries) + len(new) <= self._limit
+
+    def keeps(self, keys: Collection[K]) -> bool:
+        """True if no entry of these keys that is there can be removed while all of them are used,
+        in any order and each several times.
+        """
+        room = self._limit - len(self._entries)
+        known = {key for key in keys if key in self._entries}
+        if len(keys) - len(known) <= room or not known:
+            return len(keys) <= self._limit
+        newest = {*islice(reversed(self._entries), max(self._limit - len(keys), 0))}
+        return known <= newest
 
     def __contains__(self, key: K) -> bool:
         return key in self._entries

@@ -146,7 +146,9 @@ class MasterRules:
         """
         for one in run.connections:
             host = host_of(one.source)
-            self.heard(host, one.least_ns)
+            self.heard(host, one.least_ns if one.opened_ns is None else one.opened_ns)
+            if not one.units:
+                continue
             master = self._slaves[one.destination][host]
             master.last_ns = max(master.last_ns, one.last_request_ns)
         for write in run.writes:

@@ -48,6 +48,8 @@ few of them, because masters pause occasionally."""
 MAX_SPREAD = 0.2
 MIN_PERIOD_NS = 20_000_000
 
+_RENEWED = 16
+"""The usual period of a poll is computed anew when this part (1/16) more periods are known."""
 _HASHES = 1 << 32
 _MULTIPLIER = 2_654_435_761
 
@@ -64,6 +66,10 @@ class _Poll:
     the sample is full."""
     shortest: int = 0
     longest: int = 0
+    usual_ns: float = 0
+    """The median of the sample when `count` was `usual_of`; it is computed anew when there are many
+    more periods, as it changes little."""
+    usual_of: int = 0
 
     def note(self, at_ns: int) -> None:
         period = at_ns - self.last_ns
@@ -131,7 +137,10 @@ class PollRules:
         poll = self._polls.get(_key(transaction))
         if poll is None or len(poll.sample) < ENOUGH_PERIODS:
             return None
-        return median(period for _, period in poll.sample)
+        if poll.count * _RENEWED >= poll.usual_of * (_RENEWED + 1):
+            poll.usual_of = poll.count
+            poll.usual_ns = median(period for _, period in poll.sample)
+        return poll.usual_ns
 
     def takes(self, run: QuietRun) -> bool:
         """True if the method `run` may add these transactions together, not one by one.

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
 
 
@@ -32,7 +33,7 @@ class QuietPoll(NamedTuple):
 
 
 class QuietConnection(NamedTuple):
-    """The requests on one connection in a run.
+    """The requests on one connection in a run, or its opening, or both.
 
     Each request came after the response to the request before it.
     """
@@ -42,8 +43,9 @@ class QuietConnection(NamedTuple):
     """HOST:PORT of the master."""
     destination: str
     units: frozenset[int]
+    """Empty if there is no request, only the opening."""
     first_ns: int
-    """The time of the first request, in ns."""
+    """The time of the first request, in ns; of the opening if there is no request."""
     least_ns: int
     """The least time of a request, in ns; less than `first_ns` if the clock was set back."""
     last_request_ns: int
@@ -51,6 +53,9 @@ class QuietConnection(NamedTuple):
     recent: list[tuple[int, int, int]]
     """For each of the last transactions (at most connections.MAX_RECENT): transaction id, time of
     the request (ns) and time of the response (ns)."""
+    opened_ns: int | None
+    """The time (ns) at which the connection was opened, if that is in the run. The capture has its
+    beginning then."""
 
 
 class QuietWrite(NamedTuple):
@@ -79,13 +84,17 @@ class QuietRun:
         polls: Callable[[], list[QuietPoll]],
         writes: Callable[[], list[QuietWrite]],
         transaction: Callable[[int], NamedTransaction],
+        last_event_ns: int = 0,
     ) -> None:
         self.connections = connections
-        """The transactions grouped by connection, in the order of their last requests."""
+        """The transactions grouped by connection, in the order of their last requests or
+        openings."""
         self._polls = polls
         self._writes = writes
         self.transaction = transaction
         """Makes the transaction with a row number, which `QuietPoll.first` gives."""
+        self.last_event_ns = last_event_ns
+        """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
 
     @cached_property
     def polls(self) -> list[QuietPoll]:
@@ -108,7 +117,7 @@ class QuietRun:
 
 class QuietRows(Protocol):
     """Consecutive answered reads and writes (rows) that break no rule, with no other record between
-    them.
+    them than openings and closings of connections.
     """
 
     def __len__(self) -> int: ...
@@ -117,8 +126,8 @@ class QuietRows(Protocol):
         """The figures about all rows, for the rules."""
         ...
 
-    def transactions(self, count: int) -> Iterator[NamedTransaction]:
-        """The transactions of the first `count` rows."""
+    def records(self, count: int) -> Iterator[NamedTransaction | WireEvent]:
+        """The transactions of the first `count` rows, and the events before the next row."""
         ...
 
     def behind(self, count: int) -> Self:

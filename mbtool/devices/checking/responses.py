@@ -32,6 +32,7 @@ from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
+from mbtool.modbus.functions import DIAGNOSTICS, FORCE_LISTEN_ONLY
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
@@ -54,7 +55,6 @@ capture's end."""
 USUAL = 0.25
 """A request comes at the usual period of its poll if it differs from it by at most this share."""
 
-_DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
 _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
@@ -161,23 +161,43 @@ class ResponseRules:
     def takes(self, run: QuietRun) -> bool:
         """True if the method `run` may check these transactions together, not one by one.
 
-        That is so if none of them may be the answered retry of a pending request.
+        That is so if none of them may be the answered retry of a pending request, or the first
+        response of a unit that a pending request is to.
         """
         units = {(one.link, unit) for one in run.connections for unit in one.units}
-        if any((connection[0], unit) in units for connection, unit, _ in self._pending):
-            return False
-        connections = ((one.link, one.source) for one in run.connections)
-        return self._states.has_room(connections) and self._has_responded.has_room(units)
+        pending = [
+            (link, unit, pdu) for (link, _), unit, pdu in self._pending if (link, unit) in units
+        ]
+        if pending:
+            if not all(self._has_responded[link, unit][0] for link, unit, _ in pending):
+                return False
+            if not {(link, unit, pdu[:3]) for link, unit, pdu in pending}.isdisjoint(
+                (
+                    poll.link,
+                    poll.unit,
+                    poll.function.to_bytes(1, "big") + poll.address.to_bytes(2, "big"),
+                )
+                for poll in run.polls
+            ):
+                return False
+        connections = [(one.link, one.source) for one in run.connections]
+        return self._states.keeps(connections) and self._has_responded.has_room(units)
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
         """Check many answered reads together, with the same result as `transaction` for each.
 
         `run` has the times of the reads, grouped by connection and by poll.
         """
-        yield from self._advance(run.last_request_ns)
+        yield from self._advance(max(run.last_request_ns, run.last_event_ns))
         self._last_ns = max(self._last_ns, run.last_response_ns)
         for one in run.connections:
+            if one.opened_ns is not None:
+                self._states.pop((one.link, one.source))
             state = self._states[one.link, one.source]
+            if one.opened_ns is not None:
+                state.since_ns, state.is_complete = one.opened_ns, True
+            if not one.units:
+                continue
             if state.since_ns is None:
                 state.since_ns = one.first_ns
             state.has_request, state.is_damaged = True, False
@@ -328,9 +348,9 @@ def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -
 
     `profile` is the slave's; None if it has none.
     """
-    if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
+    if transaction.transport.over_tcp is Transport.RTU_TCP and transaction.unit == 0:
         return True
-    if transaction.function == _DIAGNOSTICS and transaction.sub_function == _FORCE_LISTEN_ONLY:
+    if transaction.function == DIAGNOSTICS and transaction.sub_function == FORCE_LISTEN_ONLY:
         return True
     rule = profile.rule(transaction.function) if profile is not None else None
     return rule is not None and not rule.answers

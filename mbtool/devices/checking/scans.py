@@ -90,18 +90,23 @@ class ScanRules:
             self._note_function(transaction, source, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if the masters poll all units in these transactions, so that no rule about scans
-        needs to count them.
+        """True if the masters poll all units in these transactions, and all hosts to which they
+        open connections, so that no rule about scans needs to count them.
         """
         return all(
             self._units.is_polled((host_of(one.source), one.destination), unit)
             for one in run.connections
             for unit in one.units
+        ) and all(
+            self._hosts.is_polled((host_of(one.source),), host_of(one.destination))
+            for one in run.connections
+            if one.opened_ns is not None
         )
 
     def run(self, run: QuietRun) -> None:
         """Note the time of many answered reads of units that are all polled."""
-        self._end_ns = max(self._end_ns, run.last_request_ns)
+        opened = (one.opened_ns or 0 for one in run.connections)
+        self._end_ns = max(self._end_ns, run.last_request_ns, *opened)
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""

@@ -11,20 +11,20 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import UsageError
+from mbtool.core.moments import DAY_NS, SECOND_NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 MAX_NUMBER = 4096
 """The largest number of cases in a limit: a rule keeps the time of each case in memory."""
-MAX_WINDOW_NS = 24 * 3_600_000_000_000
+MAX_WINDOW_NS = DAY_NS
 
-_SECOND_NS = 1_000_000_000
 _UNITS_NS = {
     "ms": 1_000_000,
-    "s": _SECOND_NS,
-    "min": 60 * _SECOND_NS,
-    "h": 3600 * _SECOND_NS,
+    "s": SECOND_NS,
+    "min": 60 * SECOND_NS,
+    "h": 3600 * SECOND_NS,
 }
 _PATTERN = re.compile(
     r"(?P<code>[^=]+)=(?P<number>\d{1,6})/(?P<time>\d{1,8}(?:\.\d{1,3})?) ?(?P<unit>ms|s|min|h)",
@@ -44,18 +44,18 @@ class SecurityLimit:
 class SecurityLimits:
     """The limit of each rule about attacks and scans."""
 
-    second_writer: SecurityLimit = SecurityLimit(1, 10 * _SECOND_NS)
-    write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
+    second_writer: SecurityLimit = SecurityLimit(1, 10 * SECOND_NS)
+    write_flood: SecurityLimit = SecurityLimit(300, 5 * SECOND_NS)
     """The limit for the writes of one master to one slave on a network (SEC-102)."""
-    line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
+    line_write_flood: SecurityLimit = SecurityLimit(150, 5 * SECOND_NS)
     """The limit for all writes on a serial line (SEC-102). It is lower than that for networks,
     because a line carries only about 40 writes per second at 9600 baud."""
-    stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
-    host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
-    unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
-    function_scan: SecurityLimit = SecurityLimit(8, 60 * _SECOND_NS)
-    register_scan: SecurityLimit = SecurityLimit(20, 60 * _SECOND_NS)
-    identification: SecurityLimit = SecurityLimit(1, 300 * _SECOND_NS)
+    stop_command: SecurityLimit = SecurityLimit(1, 60 * SECOND_NS)
+    host_scan: SecurityLimit = SecurityLimit(10, 60 * SECOND_NS)
+    unit_scan: SecurityLimit = SecurityLimit(10, 60 * SECOND_NS)
+    function_scan: SecurityLimit = SecurityLimit(8, 60 * SECOND_NS)
+    register_scan: SecurityLimit = SecurityLimit(20, 60 * SECOND_NS)
+    identification: SecurityLimit = SecurityLimit(1, 300 * SECOND_NS)
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Self:

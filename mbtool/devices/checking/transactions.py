@@ -20,7 +20,14 @@ from mbtool.devices.profile_checks import (
 from mbtool.devices.references import is_neutral
 from mbtool.devices.response_checks import right_exceptions
 from mbtool.devices.standard_checks import padding_of, request_form, response_form
-from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS, WRITE_LIMIT_17H, short_name
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    MASK_WRITE_REGISTER,
+    READ_WRITE_REGISTERS,
+    TABLE_FUNCTIONS,
+    WRITE_LIMIT_17H,
+    short_name,
+)
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import ADDRESSES
 
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
 _REQUEST_FORM = frozenset(("MB-101", "MB-102", "MB-103"))
 _RESPONSE_FORM = frozenset(("MB-201", "MB-202", "MB-203"))
 _PADDING = frozenset(("MB-105", "MB-204"))
-_READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
+_READS_OR_WRITES = TABLE_FUNCTIONS - {MASK_WRITE_REGISTER, READ_WRITE_REGISTERS}
 """Functions that either read or write values: all except 16H (mask write) and 17H (does both)."""
 
 

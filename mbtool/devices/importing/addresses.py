@@ -21,7 +21,7 @@ from mbtool.modbus.tables import Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
 
 _PREFIX_TABLES = {
     "hr": Table.HOLDING_REGISTERS, "ir": Table.INPUT_REGISTERS, "di": Table.DISCRETE_INPUTS,

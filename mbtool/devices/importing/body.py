@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices.importing.addresses import AddressCell
     from mbtool.devices.importing.cells import TableCell
-    from mbtool.devices.importing.options import ImportOptions
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportOptions, ImportReport
 
 _MAX_SECTION = 80
 """A heading between the rows has at most so many characters. A longer text is no heading."""

@@ -18,17 +18,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.devices.importing.addresses import decide_style, table_and_base
 from mbtool.devices.importing.options import AddressStyle, ImportOptions
 from mbtool.devices.model import Access, Area
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.importing.columns import Column
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
     from mbtool.devices.importing.rows import ListRow
-
-_READ_WRITE_REGISTERS = 0x17
 
 
 class LocatedRow(NamedTuple):
@@ -141,7 +139,7 @@ def _usual_access(row: ListRow, table: Table) -> Access:
     functions = _functions(row)
     if not table.is_writable:
         return Access.READ
-    if not functions or _READ_WRITE_REGISTERS in functions:
+    if not functions or READ_WRITE_REGISTERS in functions:
         return Access.READ_WRITE
     writes = {FUNCTIONS[code].writes for code in functions}
     return Access.READ_WRITE if len(writes) > 1 else Access("w" if writes.pop() else "r")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.importing.locating import LocatedRow
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
 
 _TABLES = list(Table)
 _WORD_ORDERS = {WordOrder.HIGH_FIRST: "high word first", WordOrder.LOW_FIRST: "low word first"}

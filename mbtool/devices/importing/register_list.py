@@ -19,9 +19,8 @@ from mbtool.devices.importing.areas import MAX_HOLE, make_areas
 from mbtool.devices.importing.body import BodyReader, tell_columns
 from mbtool.devices.importing.columns import find_sheet
 from mbtool.devices.importing.locating import locate_rows
-from mbtool.devices.importing.options import ImportOptions
+from mbtool.devices.importing.options import ImportOptions, ImportReport
 from mbtool.devices.importing.points import make_points
-from mbtool.devices.importing.report import ImportReport
 from mbtool.devices.loading import MAX_FILE_BYTES
 from mbtool.devices.model import Profile
 from mbtool.devices.profile_template import name_for

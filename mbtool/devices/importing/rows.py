@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.importing.columns import Sheet
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
 
 T = TypeVar("T")
 

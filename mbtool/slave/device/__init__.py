@@ -8,8 +8,7 @@ from mbtool.slave.device.connection_policy import ConnectionPolicy
 from mbtool.slave.device.driven import DrivenDevice
 from mbtool.slave.device.image import RegisterImage
 from mbtool.slave.device.image_file import Course, FromCapture, Recall, load_image
-from mbtool.slave.device.responder import DeviceResponder
-from mbtool.slave.device.units import Units, is_line, units_on
+from mbtool.slave.device.responder import DeviceResponder, Units, is_line, units_on
 
 __all__ = [
     "Behaviour",

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.slave.device.behaviour import Behaviour
 from mbtool.slave.device.responder import DeviceResponder
-from mbtool.slave.families.fa3 import Fa3, Fa3DigitalOutput
-from mbtool.slave.families.fa3_analog import Fa3AnalogInput, Fa3AnalogOutput
+from mbtool.slave.families.fa3 import Fa3, Fa3AnalogInput, Fa3AnalogOutput, Fa3DigitalOutput
 from mbtool.slave.families.lt830 import Lt830
 from mbtool.slave.families.wago import Wago
 

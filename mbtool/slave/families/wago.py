@@ -27,18 +27,305 @@ from mbtool.core import Direction
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 from mbtool.modbus.register_access import register_access
+from mbtool.modbus.tables import Table
 from mbtool.slave.device.behaviour import Behaviour
 from mbtool.slave.device.connection_policy import ConnectionPolicy
-from mbtool.slave.families.wago_image import COILS, HOLDING, ProcessImage
-from mbtool.slave.families.wago_watchdog import MASKS, PARAMETERS, SETTINGS, Watchdog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mbtool.devices import Profile
     from mbtool.modbus.register_access import RegisterAccess
-    from mbtool.modbus.tables import Table
     from mbtool.slave.device.image import RegisterImage
+
+# The process image of a WAGO 750 coupler: where its inputs and outputs are read and written.
+#
+# Sources: the manuals named in wago.py. Functions 03 and 04 read the same registers, 01 and 02 the
+# same bits. Reads from 0000 on return inputs; writes from 0000 on set outputs, which are read back
+# at addresses 0200H higher. A second range works in the same way: registers written from 6000H on
+# are read back at 7000H, bits written from 3000H on at 4000H.
+#
+# The digital inputs and outputs can also be read and written in registers, behind all analog data.
+# Registers 1022H to 1025H give the sizes of the analog and digital outputs and inputs in bits. They
+# are read once, at the start, and are 0 unless the user's values file sets them, to describe a
+# coupler with modules. If they are set, a read of a register of digital data returns the bits, and
+# a write to it sets the bits. Assumed: bit 0 of a register is the first of its 16 digital inputs or
+# outputs, and digital data begin in a new register. Only the first range (256 registers, 512 bits)
+# has digital data in registers.
+
+HOLDING, COILS = Table.HOLDING_REGISTERS, Table.COILS
+
+_OUTPUTS = (
+    (HOLDING, range(0x0100), range(0x0200, 0x0300)),
+    (HOLDING, range(0x6000, 0x62FD), range(0x7000, 0x72FD)),
+    (COILS, range(0x0200), range(0x0200, 0x0400)),
+    (COILS, range(0x3000, 0x35F8), range(0x4000, 0x45F8)),
+)
+"""The ranges of outputs: table, addresses at which masters write them, addresses at which masters
+read them back and where they are stored."""
+_SIZES = range(0x1022, 0x1026)
+"""Registers with the sizes, in bits, of analog outputs and inputs, digital outputs and inputs."""
+_OUTPUT_BASE = 0x0200
+_WORDS, _BITS = 0x0100, 0x0200
+_WORD_BITS = 16
+
+
+class ProcessImage:
+    """Reads and writes the inputs and outputs of a coupler in its register image."""
+
+    def __init__(self, image: RegisterImage) -> None:
+        image.share(Table.INPUT_REGISTERS, HOLDING)
+        image.share(Table.DISCRETE_INPUTS, COILS)
+        self._image = image
+        self._parts = _digital_parts(image.get(HOLDING, _SIZES.start, len(_SIZES)))
+
+    def is_made_of_bits(self, span: range) -> bool:
+        """True if at least one register of the addresses `span` shows digital inputs or outputs."""
+        return any(
+            words.start < span.stop and span.start < words.stop for _, words, _ in self._parts
+        )
+
+    def read(self, span: range, values: list[int]) -> list[int]:
+        """Return the contents of the registers `span`, with digital inputs and outputs filled in.
+
+        `values` are the contents of these registers in the image; registers that show digital data
+        are replaced in this list.
+        """
+        for base, words, bits in self._parts:
+            for at in range(max(words.start, span.start), min(words.stop, span.stop)):
+                first = base + (at - words.start) * _WORD_BITS
+                held = self._image.get(COILS, first, min(_WORD_BITS, bits.stop - first))
+                values[at - span.start] = sum(bit << place for place, bit in enumerate(held))
+        return values
+
+    def standing(self, table: Table, span: range) -> list[int]:
+        """Return the present values of what a write to the addresses `span` would change.
+
+        They are read where the image stores the outputs, which differs from `span`.
+        """
+        span = stored_range(table, span)
+        values = self._image.get(table, span.start, len(span))
+        return values if table.is_bits else self.read(span, values)
+
+    def write(self, table: Table, span: range, values: Sequence[int]) -> None:
+        """Store values that a master writes to the addresses `span`.
+
+        Outputs are stored at the addresses where masters read them back. If a register shows
+        digital inputs or outputs, a value written to it sets their bits as well.
+        """
+        span = stored_range(table, span)
+        self._image.set(table, span.start, values)
+        if table.is_bits:
+            return
+        for base, words, bits in self._parts:
+            for at in range(max(words.start, span.start), min(words.stop, span.stop)):
+                first = base + (at - words.start) * _WORD_BITS
+                word = values[at - span.start]
+                count = min(_WORD_BITS, bits.stop - first)
+                self._image.set(COILS, first, [word >> place & 1 for place in range(count)])
+
+    def clear_outputs(self) -> None:
+        for table, _, span in _OUTPUTS:
+            self._image.set(table, span.start, [0] * len(span))
+
+
+def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
+    """Return an item for the digital outputs and one for the digital inputs, if there are any.
+
+    Each item has the address of the first bit, the addresses of the registers that show the bits,
+    and the addresses of the bits. `sizes` are the contents of the registers _SIZES, in bits.
+    """
+    parts = []
+    for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
+        if digital:
+            first = base + -(-analog // _WORD_BITS)
+            count = min(digital, _BITS)
+            end = min(first + -(-count // _WORD_BITS), base + _WORDS)
+            parts.append((base, range(first, end), range(base, base + count)))
+    return parts
+
+
+def stored_range(table: Table, span: range) -> range:
+    """Return the addresses at which the image stores values that a master writes to `span`.
+
+    For outputs these are the addresses at which masters read them back, else `span` itself.
+    """
+    for each, first, stands in _OUTPUTS:
+        if table is each and span.start in first:
+            by = stands.start - first.start
+            return range(span.start + by, span.stop + by)
+    return span
+
+
+# The watchdog of a WAGO 750 coupler: registers 1000H to 100BH.
+#
+# Source: the later manual, 6.5.1, as mbtool/devices/profiles/wago-750.toml quotes it.
+#
+#     starts     when a value other than 0 and other than the last one is written to 1003H, and
+#                1000H holds a time
+#     restarts   when a master writes another such value to 1003H, and with each request whose
+#                function is in the mask of 1001H and 1002H
+#     expires    when the time in 1000H (unit 100 ms) passes without a restart: then 1006H is 2,
+#                1004H is 0, and every request gets exception 04
+#     stops      when a master writes AAAAH and then 5555H to 1005H, or 55AAH or AA55H to 1008H;
+#                writing 1 to 1007H starts it again
+#
+# The alternative watchdog (100AH = 1) restarts with every request. When it expires, all outputs
+# become 0, and requests are still answered.
+#
+# Assumed:
+#
+#     after the watchdog has expired, single writes of 1005H, 1007H and 1008H are accepted
+#     a write of the mask while the watchdog runs gets exception 04
+#     1004H is the shortest time that was left at a restart
+#     writing 1 to 1007H does not start a watchdog that is off
+#     outputs stay as they are when the ordinary watchdog expires
+#     1009H (close sockets when the watchdog expires) is stored without effect
+#
+# There is no timer: at each request, the watchdog checks if its time has passed.
+
+TIME = 0x1000
+MASKS = range(0x1001, 0x1003)
+TRIGGER = 0x1003
+LEAST_LEFT = 0x1004
+STOP = 0x1005
+STATUS = 0x1006
+RESTART = 0x1007
+SIMPLE_STOP = 0x1008
+ALTERNATIVE = 0x100A
+PARAMETERS = range(TIME, MASKS.stop)
+"""The registers that survive a restart once a master has saved them: time and mask."""
+SETTINGS = range(TIME, ALTERNATIVE + 1)
+
+_ENDING = (STOP, RESTART, SIMPLE_STOP)
+_STOP_SEQUENCE = (0xAAAA, 0x5555)
+_SIMPLE_STOPS = (0x55AA, 0xAA55)
+_NEVER_TRIGGERED = 0xFFFF
+_UNIT_NS = 100_000_000
+
+
+class Status(IntEnum):
+    """The state of the watchdog, as register 1006H shows it."""
+
+    OFF = 0
+    ACTIVE = 1
+    EXPIRED = 2
+
+
+class Watchdog:
+    """The watchdog of a coupler; `image` holds the registers of its settings and state."""
+
+    def __init__(self, image: RegisterImage) -> None:
+        self._image = image
+        self._status = Status.OFF
+        self._since_ns = 0
+        self._time_ns = 0
+        self._last_trigger = 0
+        self._stop_place = 0
+        """The number of values of the stop sequence (AAAAH, 5555H) that were written to 1005H so
+        far: 0 or 1."""
+
+    @property
+    def is_active(self) -> bool:
+        return self._status is Status.ACTIVE
+
+    @property
+    def has_expired(self) -> bool:
+        return self._status is Status.EXPIRED
+
+    def heard(self, function: int, now_ns: int) -> bool:
+        """Note a request: let the watchdog expire if its time has passed, else restart it.
+
+        The ordinary watchdog restarts only if the request's function code is in the mask. Returns
+        True if the alternative watchdog expired, so that the caller must set all outputs to 0; this
+        watchdog restarts even then.
+        """
+        is_alternative = bool(self._register(ALTERNATIVE))
+        is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
+        if is_alternative:
+            if self._time():
+                self._begin(now_ns)
+            return is_over
+        if is_over:
+            self._set_status(Status.EXPIRED)
+            self._set(LEAST_LEFT, 0)
+        elif self.is_active and self._is_masked(function):
+            self._restart_time(now_ns)
+        return False
+
+    @staticmethod
+    def takes(writes: range) -> bool:
+        """True if a write to the addresses `writes` is accepted after the watchdog has expired.
+
+        It must write a single one of the registers that stop or restart the watchdog.
+        """
+        return len(writes) == 1 and writes.start in _ENDING
+
+    def written(self, span: range, now_ns: int) -> None:
+        """Called after a master wrote the registers `span`: start, restart or stop the watchdog."""
+        for address in span:
+            value = self._register(address)
+            if address == TRIGGER:
+                self._trigger(value, now_ns)
+            elif address == STOP:
+                self._stop(value)
+            elif address == RESTART and value == 1 and self._status is not Status.OFF:
+                self._begin(now_ns)
+            elif address == SIMPLE_STOP and value in _SIMPLE_STOPS:
+                self._set_status(Status.OFF)
+
+    def reset(self) -> None:
+        """Put the watchdog into the state after a restart of the coupler: off, never triggered."""
+        self._set_status(Status.OFF)
+        self._set(LEAST_LEFT, _NEVER_TRIGGERED)
+        self._last_trigger = self._stop_place = 0
+
+    def _trigger(self, value: int, now_ns: int) -> None:
+        is_new = value not in (0, self._last_trigger)
+        self._last_trigger = value
+        if not is_new:
+            return
+        if self.is_active:
+            self._restart_time(now_ns)
+        elif self._status is Status.OFF and self._time():
+            self._begin(now_ns)
+
+    def _stop(self, value: int) -> None:
+        is_next = value == _STOP_SEQUENCE[self._stop_place]
+        self._stop_place = self._stop_place + 1 if is_next else int(value == _STOP_SEQUENCE[0])
+        if self._stop_place == len(_STOP_SEQUENCE):
+            self._stop_place = 0
+            self._set_status(Status.OFF)
+
+    def _begin(self, now_ns: int) -> None:
+        self._time_ns = self._time() * _UNIT_NS
+        self._since_ns = now_ns
+        self._set_status(Status.ACTIVE)
+
+    def _restart_time(self, now_ns: int) -> None:
+        left = (self._time_ns - (now_ns - self._since_ns)) // _UNIT_NS
+        self._set(LEAST_LEFT, min(self._register(LEAST_LEFT), left))
+        self._since_ns = now_ns
+
+    def _is_masked(self, function: int) -> bool:
+        if not 1 <= function <= 32:
+            return False
+        word, bit = divmod(function - 1, 16)
+        return bool(self._register(MASKS[word]) >> bit & 1)
+
+    def _time(self) -> int:
+        return self._register(TIME)
+
+    def _set_status(self, status: Status) -> None:
+        self._status = status
+        self._set(STATUS, status)
+
+    def _register(self, address: int) -> int:
+        return self._image.get(Table.HOLDING_REGISTERS, address)[0]
+
+    def _set(self, address: int, value: int) -> None:
+        self._image.set(Table.HOLDING_REGISTERS, address, [value])
+
 
 COUNTERS = 0x1029
 CONNECTIONS = 0x102A

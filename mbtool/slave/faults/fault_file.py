@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbtool.core import UsageError
+from mbtool.core.moments import SECOND_NS
 from mbtool.devices import parse_span
 from mbtool.devices.toml_file import read_toml
 from mbtool.modbus.adu import MAX_TCP_ADU
@@ -57,7 +58,6 @@ _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
 a limit: adding any of these to a unit, or to a transaction id, gives a different one."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
-_S = 1_000_000_000
 
 
 class FaultFile:
@@ -120,8 +120,8 @@ def _match(table: _Table, profiles: list[Profile]) -> FaultCondition:
         units=table.numbers("units", 0, 0xFF),
         functions=table.numbers("functions", 1, 0x7F),
         span=span,
-        from_ns=round(begin * _S),
-        until_ns=round(end * _S) if end is not None else None,
+        from_ns=round(begin * SECOND_NS),
+        until_ns=round(end * SECOND_NS) if end is not None else None,
         nth=table.number("nth", 1, 1, 1 << 31),
         every=table.number("every", 1, 1, 1 << 31),
         times=table.number("times", 1, 1, 1 << 31) if table.has("times") else None,

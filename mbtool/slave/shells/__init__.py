@@ -5,6 +5,7 @@ from mbtool.slave.shells.serial_shell import SerialSlave
 from mbtool.slave.shells.shell import OnExchange, Shell
 from mbtool.slave.shells.state_file import keep_state
 from mbtool.slave.shells.tcp_shell import Bounds, TcpSlave
+from mbtool.slave.shells.udp_shell import UdpSlave
 
 __all__ = [
     "Bounds",
@@ -12,6 +13,7 @@ __all__ = [
     "SerialSlave",
     "Shell",
     "TcpSlave",
+    "UdpSlave",
     "keep_state",
     "open_shell",
     "slave_link",

@@ -14,7 +14,7 @@
 #
 # Adapters that echo the bytes written to them cannot be used: their echo would look like a request.
 #
-# Limits: at most MAX_PENDING responses, or pieces of responses (modbus/distortion.py), wait to be
+# Limits: at most MAX_PENDING responses, or pieces of responses (modbus/response.py), wait to be
 # sent; while so many wait, requests get no response. If the port does not take a response within
 # WRITE_TIMEOUT_S, the rest of it is dropped.
 
@@ -26,8 +26,8 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, SerialLink, UsageError
-from mbtool.modbus.adu import Adu
-from mbtool.modbus.distortion import wire_pieces
+from mbtool.modbus.adu import Adu, Verdict
+from mbtool.modbus.response import wire_pieces
 from mbtool.ports.arrival_times import SerialArrivals
 from mbtool.ports.clock import steady_clock
 from mbtool.ports.serial_opening import WriteTimeout, open_port, port_in_use
@@ -36,12 +36,68 @@ from mbtool.serial_line.bus_model import BusModel, Classification, roles_of
 from mbtool.serial_line.bus_state import BusState
 from mbtool.serial_line.rtu import RtuSplitter
 from mbtool.slave.shells.shell import OnExchange, Shell
-from mbtool.slave.shells.strict_timing import StrictTiming
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.core import SerialFormat
     from mbtool.modbus.response import Responder
+
+# Decides, for a slave that demands the standard's silences, which RTU requests get a response.
+#
+# Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
+# come before each message and after it, and no such silence is inside. A real slave takes all bytes
+# between two silences as one message. So a request gets no answer if
+#
+#     a silence of t3.5 or longer is inside it                 it is two messages, both incomplete
+#     a shorter silence, or none, is before or after it        it is part of a longer message
+#
+# A silence between t1.5 and t3.5 inside a request is accepted: it may be caused by this machine
+# reading the port late.
+#
+# Memory: one request, which waits until the line has been silent for t3.5.
+
+
+class StrictTiming:
+    """Holds a request back until the line was silent for t3.5 after it; drops a request if a
+    silence before, inside or after it is wrong.
+    """
+
+    def __init__(self, line: SerialFormat) -> None:
+        self._t3_5_ns = line.t3_5_ns
+        self._character_ns = line.character_ns
+        self._held: Adu | None = None
+
+    def hear(self, size: int, now_ns: int) -> None:
+        """Note a read of the port: `size` bytes, the last of which came at `now_ns`.
+
+        Drops the waiting request if the first of these bytes came less than t3.5 after its end.
+        """
+        if self._held is not None:
+            silence_ns = now_ns - size * self._character_ns - self._held.end_ns
+            if silence_ns < self._t3_5_ns:
+                self._held = None
+
+    def hold(self, request: Adu) -> None:
+        """Keep a complete request until the line was silent for t3.5 after it (`due`).
+
+        A request is dropped at once if the silence before it is too short or one inside it too
+        long.
+        """
+        before_ns, inside_ns = request.silence_before_ns, request.longest_silence_ns
+        is_apart = before_ns is None or before_ns >= self._t3_5_ns
+        is_apart &= Verdict.GLUED not in request.verdicts
+        is_whole = inside_ns is None or inside_ns < self._t3_5_ns
+        self._held = request if is_apart and is_whole else None
+
+    def due(self, now_ns: int) -> Adu | None:
+        """Return the waiting request once the line has been silent for t3.5 after it; else None."""
+        held = self._held
+        if held is None or now_ns - held.end_ns < self._t3_5_ns:
+            return None
+        self._held = None
+        return held
+
 
 MAX_PENDING = 16
 """While this many responses, or pieces of responses, wait to be sent, requests get no response."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -89,6 +89,17 @@ class ComparisonWith:
     differences: Sequence[Difference]
 
 
+@dataclass(frozen=True, slots=True)
+class ReportWords:
+    """The user's own words on the page."""
+
+    title: str = ""
+    note: str = ""
+    """A text for the reader of the page; a line end begins a paragraph."""
+    where: str = ""
+    """The filter of the transactions; empty if the page is about all of them."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportContents:
     """Everything that the report page is made from."""
@@ -111,6 +122,7 @@ class ReportContents:
     """The first events that say what the capture lacks, such as lost packets."""
     number_lacking: int
     comparison: ComparisonWith | None = None
+    words: ReportWords
 
 
 def report_document(contents: ReportContents) -> dict[str, Any]:
@@ -124,12 +136,13 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
     return {
         "version": contents.version,
         "made": iso_time(contents.made_ns),
+        "words": asdict(contents.words),
         "verdict": _verdict(contents.judgement),
         "stats": _statistics(contents),
         "bins": _bins(contents, bins),
-        "bars": _bars(contents.judgement.links),
+        "bars": _bars(_sorted_links(contents), _places(contents)),
         "values": _values(contents.values, bins.begin_ns),
-        "inventory": _inventory(contents.inventory),
+        "inventory": _inventory(contents),
         "findings": _findings(contents),
         "transactions": contents.rows.document(
             contents.late_ns,
@@ -191,7 +204,12 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
     # The keys `capture` and `verdict` have these.
     for key in ("is_whole", "remarks", "level", "troubles"):
         del document[key]
+    names = _links_in_order(contents)
+    document["links"].sort(key=lambda link: names.get(link["link"], len(names)))
+    places = _places(contents)
     for link in document["links"]:
+        name = link["link"]
+        link["functions"].sort(key=lambda one: places.get((name, one["unit"]), len(places)))
         link["polls"] = sorted(
             sorted(link["polls"], key=lambda poll: -poll["transactions"])[:MAX_POLLS],
             key=lambda poll: poll["number"],
@@ -201,20 +219,26 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
     return document
 
 
-def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
+def _bars(
+    links: Sequence[LinkReport], places: Mapping[tuple[str, int | None], int]
+) -> list[dict[str, Any]]:
     """Return the bars of latency histograms: of each link, and of each unit and function in it.
 
     `steps` has the begin and the end of each bar in ms, and its number of responses; `beyond` is
-    the number of responses that took longer.
+    the number of responses that took longer. `places` has the place of each unit on the page.
     """
     found: list[dict[str, Any]] = []
     for link in links:
+        name = link.name
+        functions = sorted(
+            link.functions, key=lambda one: places.get((name, one.unit), len(places))
+        )
         all_units: list[tuple[int | None, int | None, Distribution]] = [
             (None, None, link.tally.latency)
         ]
         all_units += [
             (None if one.unit == OTHER_UNITS else one.unit, one.function, one.tally.latency)
-            for one in link.functions
+            for one in functions
         ]
         for unit, function, latency in all_units[: MAX_BARS - len(found)]:
             bars, beyond = latency.bars()
@@ -238,14 +262,8 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     were counted, `counted` the number of these units.
     """
     timed = {link.name for link in contents.judgement.links if link.has_times}
-    known = [unit for unit in contents.account.units.values() if unit.key.link in timed]
-    sick = {
-        UnitKey(each.link, each.unit): -place
-        for place, one in reversed([*enumerate(contents.judgement.troubles, 1)])
-        for each in one.all
-        if each.unit is not None
-    }
-    known.sort(key=lambda row: (sick.get(row.key, -MAX_ROWS), *_rank(row)), reverse=True)
+    known = [unit for unit in _in_order(contents) if unit.key.link in timed]
+    links = _sorted_links(contents)
     return {
         "begin": bins.begin_ns / 1e9,
         "width": bins.width_ns / 1e9,
@@ -255,17 +273,38 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
         "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
         "units": [_unit_columns(bins, row) for row in known[:MAX_UNITS]],
         "links": [
-            _link_columns(contents, bins, link)
-            for link in contents.judgement.links[:MAX_UNITS]
-            if link.has_times
+            _link_columns(contents, bins, link) for link in links[:MAX_UNITS] if link.has_times
         ],
     }
 
 
-def _rank(unit: UnitAccount) -> tuple[int, int]:
-    """Return the requests of a unit and its failures. Charts have the sick units first, then those
-    with the most requests.
+def _in_order(contents: ReportContents) -> list[UnitAccount]:
+    """Return the units in the one order that tables and charts of the page have: the sick ones, the
+    worst first, then those with the most requests.
     """
+    sick = {
+        UnitKey(each.link, each.unit): -place
+        for place, one in reversed([*enumerate(contents.judgement.troubles, 1)])
+        for each in one.all
+        if each.unit is not None
+    }
+    units = contents.account.units.values()
+    return sorted(units, key=lambda row: (sick.get(row.key, -MAX_ROWS), *_rank(row)), reverse=True)
+
+
+def _links_in_order(contents: ReportContents) -> dict[str, int]:
+    """Return the place of each link in the order of its first unit."""
+    names = dict.fromkeys(unit.key.link for unit in _in_order(contents))
+    return {name: place for place, name in enumerate(names)}
+
+
+def _sorted_links(contents: ReportContents) -> list[LinkReport]:
+    names = _links_in_order(contents)
+    return sorted(contents.judgement.links, key=lambda link: names.get(link.name, len(names)))
+
+
+def _rank(unit: UnitAccount) -> tuple[int, int]:
+    """Return the requests of a unit and its failures."""
     return unit.bins.total(UnitSum.REQUESTS), unit.bins.total(*_FAILURES.values())
 
 
@@ -377,8 +416,19 @@ def _last(series: ValueSeries) -> str:
     return f"{series.samples[-1].value:g} {series.unit}".strip() if series.samples else ""
 
 
-def _inventory(document: InventoryDocument) -> dict[str, Any]:
+def _places(contents: ReportContents) -> dict[tuple[str, int | None], int]:
+    """Return the place of each unit, by link and unit, in the order of the page."""
+    return {(one.key.link, one.key.unit): place for place, one in enumerate(_in_order(contents))}
+
+
+def _inventory(contents: ReportContents) -> dict[str, Any]:
+    document = contents.inventory
     quiet = (Role.SILENT, Role.UNHEARD)
+    places = _places(contents)
+    slaves = sorted(
+        document.slaves,
+        key=lambda row: (row.role in quiet, places.get((row.host, row.unit), len(places))),
+    )
     return {
         "slaves": [
             {
@@ -391,7 +441,7 @@ def _inventory(document: InventoryDocument) -> dict[str, Any]:
                 "unreached": row.unreached,
                 "details": slave_lines(row),
             }
-            for row in sorted(document.slaves, key=lambda row: row.role in quiet)[:MAX_ROWS]
+            for row in slaves[:MAX_ROWS]
         ],
         "slaves_seen": len(document.slaves),
         "masters": [

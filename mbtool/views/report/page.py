@@ -17,20 +17,20 @@ _STYLES = ("uPlot.min.css", "page.css")
 
 def page(data: str) -> str:
     """Return the HTML page. `data` is the report's document as JSON, made by contents.encoded."""
-    scripts, styles = [_asset(name) for name in _SCRIPTS], [_asset(name) for name in _STYLES]
+    scripts, styles = [asset(name) for name in _SCRIPTS], [asset(name) for name in _STYLES]
     policy = "; ".join((
         "default-src 'none'",
-        f"script-src {' '.join(map(_hash, scripts))}",
-        f"style-src {' '.join(map(_hash, styles))}",
+        f"script-src {' '.join(map(csp_hash, scripts))}",
+        f"style-src {' '.join(map(csp_hash, styles))}",
         "img-src data:",
         "base-uri 'none'",
         "form-action 'none'",
         "require-trusted-types-for 'script'",
         "trusted-types 'none'",
     ))  # fmt: skip
-    licence = _asset("uPlot.LICENSE").replace("--", "- -")
+    licence = asset("uPlot.LICENSE").replace("--", "- -")
     return "".join((
-        _asset("page.html")
+        asset("page.html")
         .replace("{policy}", policy)
         .replace("{styles}", "".join(f"<style>{one}</style>\n" for one in styles))
         .replace("{licence}", f"<!-- Charts by uPlot.\n{licence}-->")
@@ -41,10 +41,10 @@ def page(data: str) -> str:
     ))  # fmt: skip
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
     return (files(__package__) / _ASSETS / name).read_text(encoding="utf-8")
 
 
-def _hash(text: str) -> str:
+def csp_hash(text: str) -> str:
     """Return the CSP source expression that permits an inline script or style with this text."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"

@@ -1,7 +1,7 @@
 """Replaces in captured packets and frames what shows a plant: addresses, names and texts."""
 
-# Of a packet these bytes stay what they are: the headers of the link layer, of IP and TCP but for
-# addresses and IP options, and the payload of TCP at the ports of Modbus but for texts. All else
+# Of a packet these bytes stay what they are: the headers of the link layer, of IP, TCP and UDP but
+# for addresses and IP options, and the payload at the ports of Modbus but for texts. All else
 # becomes zeros: other payload, ARP, trailers behind the IP packet, 802.11 frames without a readable
 # IP packet. So packets keep their number, size and order, and reassembly and decoding go the same
 # way. Inside tunnels the same is done.
@@ -19,10 +19,9 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, lrc, mbap_size
-from mbtool.modbus.ascii_frame import SEVEN_BITS, like_parity, read_frame
+from mbtool.modbus.adu import MBAP_BYTES, SEVEN_BITS, crc, like_parity, lrc, mbap_size, read_frame
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED, wireless_macs
-from mbtool.packets.segment import TCP, find_tcp, walk_ipv6
+from mbtool.packets.segment import TCP, UDP, find_tcp, walk_ipv6
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner
 
 if TYPE_CHECKING:
@@ -54,6 +53,7 @@ _KEPT_WITHOUT_IP = {0: 4, 1: 14, 9: 4, 50: 4, 104: 4, 105: 2, 108: 4, 113: 16, 1
 """By link type, the number of bytes that stay at the front of a packet without IP. They hold no
 address, or one of _MACS_AT."""
 _NOP = 1
+_UDP_SIZE = 8
 
 
 class AnonymousChoice(NamedTuple):
@@ -73,7 +73,7 @@ class AnonymousPackets:
         rtu_ports: Container[int],
         choice: AnonymousChoice,
     ) -> None:
-        """`ports` are all TCP ports of Modbus, `rtu_ports` those with RTU over TCP."""
+        """`ports` are all ports of Modbus, `rtu_ports` those with RTU over TCP or UDP."""
         self._pseudonyms = pseudonyms
         self._ports = ports
         self._rtu_ports = rtu_ports
@@ -132,6 +132,8 @@ class AnonymousPackets:
             data[start:end] = self._without_text(bytes(data[start:end]))
         elif protocol == TCP and start < end:
             self._replace_tcp(data, given, at, start, end, length)
+        elif protocol == UDP and not is_later and end >= start + _UDP_SIZE:
+            self._replace_udp(data, given, at, start, end, length)
         else:
             data[start:end] = bytes(max(0, end - start))
         if version == 4:
@@ -171,6 +173,25 @@ class AnonymousPackets:
             addresses = data[at + 12 : at + 20] if given[at] >> 4 == 4 else data[at + 8 : at + 40]
             pseudo = bytes(addresses) + struct.pack(">HH", TCP, end - start)
             data[start + 16 : start + 18] = _sum(pseudo + bytes(data[start:end])).to_bytes(2)
+
+    def _replace_udp(
+        self, data: bytearray, given: bytes, at: int, start: int, end: int, length: int
+    ) -> None:
+        ports = struct.unpack_from(">HH", given, start)
+        begin = start + _UDP_SIZE
+        if any(port in self._ports for port in ports):
+            is_rtu = any(port in self._rtu_ports for port in ports)
+            data[begin:end] = self.payload(bytes(data[begin:end]), is_rtu=is_rtu)
+        else:
+            data[start:end] = bytes(end - start)
+        place = find_tcp(given, at, length, UDP)
+        had_sum = any(given[start + 6 : start + 8])
+        data[start + 6 : start + 8] = b"\0\0"
+        if had_sum and place is not None and place.end <= len(data):
+            addresses = data[at + 12 : at + 20] if given[at] >> 4 == 4 else data[at + 8 : at + 40]
+            pseudo = bytes(addresses) + struct.pack(">HH", UDP, end - start)
+            total = _sum(pseudo + bytes(data[start:end])) or 0xFFFF
+            data[start + 6 : start + 8] = total.to_bytes(2)
 
     def payload(self, data: bytes, *, is_rtu: bool = False) -> bytes:
         """Return the payload of a TCP segment with everything replaced; the same size."""

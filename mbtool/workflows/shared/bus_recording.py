@@ -29,10 +29,12 @@ from mbtool.core import (
     UsageError,
     parse_link,
 )
+from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
 from mbtool.packets import LinePacket, serial_pieces
+from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
@@ -209,21 +211,26 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
                     yield line, item
         elif capture.kind in PACKET_KINDS:
             types = serial_types(options.line)
+            usb = UsbAdapters()
             for packet in capture.packets():
                 shown: Sequence[Chunk | WireEvent] = ()
                 if isinstance(packet, LinePacket):
                     shown = packet.chunks
                 elif packet.link_type in types:
                     shown = serial_pieces(packet)
+                elif packet.link_type in USB_LINK_TYPES:
+                    shown = usb.feed(packet)
                 for piece in shown:
                     line = _line_in(capture.head, piece.link) if capture.head else given
+                    if options.line is None and (known := usb.settings(piece.link)) is not None:
+                        line = known
                     if isinstance(piece, Chunk) and line is not None:
                         yield line, piece
         else:
             settings, pieces = capture.serial(options.line)
-            for piece in pieces:
-                if isinstance(piece, Chunk):
-                    yield settings, piece
+            for read in pieces:
+                if isinstance(read, Chunk):
+                    yield settings, read
 
 
 def _line_in(head: CaptureHead, link: str) -> LineSettings | None:

@@ -127,11 +127,11 @@ class ColumnReading(Reading):
                     self._note(part)
                 yield part
 
-    def quiet_parts(self, *, reads_only: bool = False) -> Iterator[Record | BlockRows]:
+    def quiet_parts(self) -> Iterator[Record | BlockRows]:
         """Yield all transactions and events. Many answered reads and writes that break no rule come
-        together as one BlockRows; with `reads_only`, reads only.
+        together as one BlockRows.
         """
-        quiet = QuietParts(Namer(self.assignments), reads_only=reads_only)
+        quiet = QuietParts(Namer(self.assignments))
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)

@@ -245,7 +245,7 @@ def _looked_at(path: str, options: ReadingOptions, *, spans: bool) -> _InputFile
                 path, capture.kind, Part(), first_ns, last_ns, capture.head or CaptureHead()
             )
         with suppress(InputError):
-            for piece in capture.serial(options.line).pieces:
+            for piece in capture.serial(options.line)[1]:
                 first_ns = piece.ts_ns
                 break
         return _InputFile(path, capture.kind, Part(), first_ns, 0, CaptureHead())

@@ -19,11 +19,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, InputError, Origin, Packet, StreamPlace, WireEvent
+from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.devices import finding_text
 from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
 from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.packets import reads_of, serial_pieces
+from mbtool.packets.tcp_ends import TcpEnd, TcpEnds, end_of
+from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
 from mbtool.workflows.shared.read_all import unwatched
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from collections.abc import Set as AbstractSet
 
-    from mbtool.decode.decoder import Evidence
+    from mbtool.decode.decoder import Decoder, Evidence
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
@@ -70,6 +73,13 @@ class EvidenceMarks:
     transactions: int = 0
     ports: set[int] = field(default_factory=set)
     """The TCP ports of the slaves of all transactions."""
+    connections: set[TcpEnds] = field(default_factory=set)
+    """The ends of the TCP connections of the transactions which the user wants."""
+    devices: dict[TcpEnd | tuple[str, int], str] = field(default_factory=dict)
+    """The names, for files, of the slaves of the transactions which the user wants. The key is the
+    slave's end, or on a serial line its link and unit."""
+    items: int = 0
+    """The number of packets and reads that were decoded."""
 
 
 class EvidenceReading(Reading):
@@ -78,6 +88,7 @@ class EvidenceReading(Reading):
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
         self._types = serial_types(options.line)
+        self._usb = UsbAdapters()
         self._positions: defaultdict[str, int] = defaultdict(int)
         self._packets = 0
         self._keys: dict[tuple[str, ...], StreamKey] = {}
@@ -112,7 +123,10 @@ class EvidenceReading(Reading):
                     frames.sort(key=lambda one: (one.ts_ns, one.number))
 
     def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
-        for item in evidence_pieces(items, self._types):
+        for item in evidence_pieces(items, self._types, self._usb):
+            self.marks.items += 1
+            if self._decoder is not None:
+                self._begin_usb_lines(self._decoder)
             if isinstance(item, Packet):
                 self._packets += 1
                 yield replace(item, file="", number=self._packets)
@@ -120,6 +134,17 @@ class EvidenceReading(Reading):
                 yield self._placed(item)
             else:
                 yield item
+
+    def _own_decoder(self) -> Decoder:
+        decoder = super()._own_decoder()
+        self._begin_usb_lines(decoder)
+        return decoder
+
+    def _begin_usb_lines(self, decoder: Decoder) -> None:
+        """Give the decoder the settings of USB adapters, which the chunks do not tell."""
+        if self._options.line is None:
+            for line in self._usb.lines():
+                decoder.begin_line(line)
 
     def _placed(self, chunk: Chunk) -> Chunk:
         key = StreamKey(chunk.link, chunk.direction, chunk.connection)
@@ -154,6 +179,10 @@ class EvidenceReading(Reading):
         damaged_ns = self._damaged.frame_of(one)
         if is_kept:
             marks.kept.update(numbers)
+            master, slave = end_of(one.source), end_of(one.destination)
+            if slave is not None:
+                marks.connections.add(frozenset((slave, master or slave)))
+            marks.devices[slave or (one.link, one.unit)] = device_of(one)
             if damaged_ns is not None:
                 marks.kept_damaged.add((one.link, damaged_ns))
         if numbers:
@@ -166,6 +195,11 @@ class EvidenceReading(Reading):
             key = self._keys.get((one.link, direction.value, *ends))
             key = key or StreamKey(one.link, Direction.UNKNOWN, None)
             marks.frames.setdefault(key, []).append(frame)
+
+
+def device_of(one: NamedTransaction) -> str:
+    """Return a name for the file of a slave: its address, or on a serial line its link and unit."""
+    return one.slave or f"{one.link}-unit{one.unit}"
 
 
 def comments_of(one: NamedTransaction, profile: Profile | None) -> list[str]:
@@ -221,13 +255,18 @@ def frames_of(
         )
 
 
-def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Iterator[Evidence]:
-    """Yield evidence unchanged, but packets with a link type in `types` as the chunks of serial
-    bytes that they contain.
+def evidence_pieces(
+    items: Iterable[Evidence], types: AbstractSet[int], usb: UsbAdapters | None = None
+) -> Iterator[Evidence]:
+    """Yield evidence unchanged, but packets with a link type in `types` and those of USB as the
+    chunks of serial bytes that they contain. `usb` learns the settings of USB adapters.
     """
+    usb = usb or UsbAdapters()
     for item in items:
         if isinstance(item, Packet) and item.link_type in types:
             yield from serial_pieces(item)
+        elif isinstance(item, Packet) and item.link_type in USB_LINK_TYPES:
+            yield from usb.feed(item)
         else:
             yield item
 
@@ -256,4 +295,4 @@ def _items(path: str, options: ReadingOptions) -> Iterator[Evidence]:
         elif capture.kind in PACKET_KINDS:
             yield from reads_of(capture.packets())
         else:
-            yield from capture.serial(options.line).pieces
+            yield from capture.serial(options.line)[1]

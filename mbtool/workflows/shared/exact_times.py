@@ -13,10 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mbtool.core import Chunk
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.core import Chunk, SerialFormat
+    from mbtool.core import SerialFormat
+    from mbtool.sources.byte_files import SerialPiece
 
 MIN_CHARACTERS = 0.9
 """The shortest plausible time from the end of one byte to the end of the next, in character times.
@@ -41,13 +44,16 @@ class ExactTimes:
     def __init__(self) -> None:
         self._lines: dict[str, _LineBytes] = {}
 
-    def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
+    def noted(self, pieces: Iterator[SerialPiece], line: SerialFormat) -> Iterator[SerialPiece]:
         """Yield chunks of one byte each, all of a line with the format `line`, and count those that
         come too soon.
         """
         least_ns = MIN_CHARACTERS * line.character_ns
         last_ns = -(1 << 63)
         for piece in pieces:
+            if not isinstance(piece, Chunk):
+                yield piece
+                continue
             noted = self._lines.setdefault(piece.link, _LineBytes())
             noted.heard += 1
             noted.near += piece.ts_ns - last_ns < least_ns

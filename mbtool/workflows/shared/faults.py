@@ -50,6 +50,7 @@ def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
         return "Modbus/TCP has no checksum; use truncated or extra-bytes"
     if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):
         return "only Modbus/TCP has transaction ids; use wrong-unit"
-    if kind in _ENDINGS and isinstance(link, SerialLink):
-        return "a serial line has no connection to end; use no-answer"
+    if kind in _ENDINGS and (isinstance(link, SerialLink) or link.is_udp):
+        what = "a serial line" if isinstance(link, SerialLink) else "UDP"
+        return f"{what} has no connection to end; use no-answer"
     return None

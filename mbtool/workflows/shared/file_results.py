@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+MAX_LISTED = 20
+"""The table of files lists all files if they are not more than this."""
+
 
 @dataclass(slots=True)
 class FileResult:
@@ -162,7 +165,8 @@ class FileResults:
     def table(self) -> list[str]:
         """Return the lines of a text table: a heading, and a line for each file.
 
-        Empty if there is only one file, or if none was opened.
+        Empty if there is only one file, or if none was opened. Of more than MAX_LISTED files, only
+        those have a line that could not be read to their ends, or have no Modbus.
         """
         if len(self._paths) < 2 or not self._opened:
             return []
@@ -174,6 +178,10 @@ class FileResults:
                 results.append(FileResult(name, error=error))
             elif name in self._opened:
                 results.append(self._opened[name])
+        if len(results) > MAX_LISTED:
+            results = [one for one in results if one.remark]
+        if not results:
+            return []
         rows = [("file", "transactions", "events", "")]
         rows += [
             (" ".join(one.name.split()), f"{one.transactions:,}", f"{one.events:,}", one.remark)

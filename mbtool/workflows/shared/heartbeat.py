@@ -1,7 +1,7 @@
 """Writes a log of `sniff --service` with heartbeats: records with counters for `mbtool status`.
 
 A heartbeat is a metadata record `mbtool.status` (docs/service.md). It is written at the start,
-every minute, when a link is lost or returns, and at the end.
+after 1 s, 3 s, 7 s and so on, then every minute, when a link is lost or returns, and at the end.
 """
 
 # The recorder's thread calls `write` and `tick`. So a heartbeat also proves that this thread runs.
@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 HEARTBEAT_NS = 60_000_000_000
 """The longest time (ns) from one heartbeat to the next. One also comes when a link is lost or is
 back."""
+
+
+_FIRST_NS = 1_000_000_000
+"""The time (ns) from the first heartbeat to the second one; then it doubles up to HEARTBEAT_NS, so
+that a recording that has just begun soon shows what it hears."""
 
 
 class StatusLog(FindingsLog, Protocol):
@@ -100,6 +105,7 @@ class HeartbeatLog:
         self._lost_links = lost_links
         self._began_ns = now_ns
         self._beat_ns: int | None = None
+        self._period_ns = _FIRST_NS
         self._told_lost: list[str] = []
         self.counts = Counts()
         self.ticked_ns = now_ns
@@ -119,8 +125,10 @@ class HeartbeatLog:
         if (
             self._beat_ns is None
             or lost != self._told_lost
-            or not 0 <= now_ns - self._beat_ns < HEARTBEAT_NS
+            or not 0 <= now_ns - self._beat_ns < self._period_ns
         ):
+            if self._beat_ns is not None:
+                self._period_ns = min(2 * self._period_ns, HEARTBEAT_NS)
             self._beat_ns, self._told_lost = now_ns, lost
             self._beat("recording", now_ns)
         self._log.tick(now_ns)

@@ -62,7 +62,7 @@ class ModelHints:
         if word is None or (where, record.unit) in self._hints or len(self._hints) >= MAX_HINTS:
             return None
         model = self._model(record.function, word)
-        if model is None or record.transport not in model.transports:
+        if model is None or record.transport.over_tcp not in model.transports:
             return None
         hint = _hint(record, model, self._profile_for(record))
         if hint is not None:

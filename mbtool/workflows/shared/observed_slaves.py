@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Who
+    from mbtool.devices.observed_slave import OnRow
 
 MAX_SLAVES = 2048
 _SHOWN = 12
@@ -25,12 +26,15 @@ _SHOWN = 12
 class ObservedSlaves:
     """The slaves of a recording, in the order in which they first appear."""
 
-    def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
+    def __init__(
+        self, who: Who | None = None, *, with_values: bool = False, on_row: OnRow | None = None
+    ) -> None:
         """Collect all slaves; with `who`, only those with the address and unit that `who` names.
 
-        With `with_values`, the values of their registers are kept, too.
+        With `with_values`, the values of their registers are kept, too. `on_row` gets all of them.
         """
         self._who = who
+        self._on_row = on_row
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
         self.forgotten = 0
@@ -54,7 +58,9 @@ class ObservedSlaves:
             if len(self._slaves) >= MAX_SLAVES:
                 self.forgotten += 1
                 return
-            seen = self._slaves[key] = ObservedSlave(*key, with_values=self._with_values)
+            seen = self._slaves[key] = ObservedSlave(
+                *key, with_values=self._with_values, on_row=self._on_row
+            )
         seen.note(transaction)
 
     @property

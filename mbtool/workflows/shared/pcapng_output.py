@@ -19,7 +19,7 @@ import msgspec
 from mbtool.core import Direction, EventKind, Packet
 from mbtool.logs.links import SPEC
 from mbtool.modbus import Transport
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import read_frame
 from mbtool.packets.capture_writer import (
     CRC_ERROR,
     RECEIVED,
@@ -33,13 +33,13 @@ from mbtool.packets.line_packets import (
     MASTER_PORT,
     MAX_LINK_NUMBER,
     RAW_IPV4,
+    RTAC_SERIAL,
     LineEnds,
     WireReads,
     line_datagram,
     rtac_packet,
     with_mbap,
 )
-from mbtool.packets.serial_packets import RTAC_SERIAL
 from mbtool.workflows.shared.wire_streams import WirePiece
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class PieceWriter:
         malformed.
         """
         raw, skip, original = frame.raw, 6, None
-        if frame.transport is Transport.TCP:
+        if frame.transport.has_mbap:
             payload, skip = raw, 0
         elif frame.transport is Transport.ASCII:
             read = read_frame(raw)

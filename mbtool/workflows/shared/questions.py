@@ -7,8 +7,10 @@
 #                             its first register. All its registers are read; a value to write is in
 #                             the point's unit.
 #     a table and an address  holding 0..9, hr 0x10, coil 3; addresses as on the wire, 0-based
-#     six digits              400001 (or HR400001) is holding 0, 300001 input 0, 100001 discrete 0,
-#                             000001 coil 0; only without a profile, as some vendors count otherwise
+#     five or six digits      40001 and 400001 (or HR400001) are holding 0, 300001 input 0, 100001
+#                             discrete 0, 000001 coil 0; only without a profile, as some vendors
+#                             count otherwise
+#     hr10, ir10              the same as hr 10, without a profile
 #     an address alone        0x10..0x1f, if the user chose a function, which determines the table
 #
 # A range that is longer than the device or the standard allows is read with several requests. A
@@ -38,7 +40,8 @@ writes several."""
 READ_FUNCTIONS = tuple(READS_OF_TABLE.values())
 WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in codes))
 
-_SIX_DIGITS = re.compile(r"(?:HR|IR|I|C)?([0134])(\d{5})", re.ASCII | re.IGNORECASE)
+_DIGITS = re.compile(r"(?:HR|IR|I|C)?([0134])(\d{4,5})", re.ASCII | re.IGNORECASE)
+_GLUED = re.compile(r"(hr|ir|di|co)(\d{1,5}|0x[0-9a-f]{1,4})", re.ASCII | re.IGNORECASE)
 _DIGIT_TABLES = {
     "0": Table.COILS,
     "1": Table.DISCRETE_INPUTS,
@@ -152,8 +155,8 @@ class Wording:
         return parse_span(self._neutral(text), own)
 
     def _neutral(self, text: str) -> str:
-        """Rewrite six digits, or an address alone, as table and address: `400001` becomes `holding
-        0`.
+        """Rewrite five or six digits, an address alone, or `hr10` as table and address: `400001`
+        becomes `holding 0`.
 
         Any other text is returned unchanged.
         """
@@ -162,10 +165,13 @@ class Wording:
             table = FUNCTIONS[self.function].table
             assert table is not None
             return f"{_WORDS[table]} {begin}{dots}{end}"
-        digits = _SIX_DIGITS.fullmatch(begin) if self.profile is None else None
-        if digits is None or digits[2] == "00000":
+        if self.profile is not None and self.profile.has_rules:
             return text
-        if dots and (last := _SIX_DIGITS.fullmatch(end)) is not None and last[1] == digits[1]:
+        digits = _DIGITS.fullmatch(begin)
+        if digits is None or not int(digits[2]):
+            glued = None if digits is not None else _GLUED.fullmatch(begin)
+            return text if glued is None else f"{glued[1]} {glued[2]}{dots}{end}"
+        if dots and (last := _DIGITS.fullmatch(end)) is not None and last[1] == digits[1]:
             end = str(int(last[2]) - 1)
         elif dots:
             return text
@@ -188,12 +194,13 @@ class Wording:
 
     def _write_code(self, text: str, table: Table, count: int) -> int:
         one, several = _WRITES[table]
-        lacks_one = self.profile is not None and self.profile.rule(one) is None
-        has_several = self.profile is not None and self.profile.rule(several) is not None
+        own = self.profile if self.profile is not None and self.profile.has_rules else None
+        lacks_one = own is not None and own.rule(one) is None
+        has_several = own is not None and own.rule(several) is not None
         if count > 1:
-            if self.profile is not None and self.function is None and not has_several:
+            if own is not None and self.function is None and not has_several:
                 raise UsageError(
-                    f"{text!r}: {self.profile.name} has no function {several:02X} to write several "
+                    f"{text!r}: {own.name} has no function {several:02X} to write several "
                     f"at once; give each value its own name, or choose it with --function {several}"
                 )
             return self._code(text, table, (several,))

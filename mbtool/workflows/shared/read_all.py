@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from mbtool.core import CutError, DamageError
-from mbtool.workflows.shared.reading import Reading
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from mbtool.decode.decoder import Record
+    from mbtool.workflows.shared.reading import Reading
 
 T = TypeVar("T")
-Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
-"""A function that yields all records of a reading unchanged, and may show a progress bar."""
 
 
-def unwatched(_: Reading, records: Iterator[T]) -> Iterator[T]:
+class Work(Protocol):
+    """Work that takes long, such as a reading, and knows how much of it is done."""
+
+    @property
+    def fraction(self) -> float | None:
+        """The share (0 to 1) that is done; None if it is unknown."""
+
+    @property
+    def progress_text(self) -> str:
+        """The part that is being done: `file 3 of 60`."""
+
+    @property
+    def noun(self) -> str:
+        """What is counted, in the plural: `transactions`."""
+
+
+class Watch(Protocol):
+    """A function that yields the items of some work unchanged, and may show a progress bar."""
+
+    def __call__(self, work: Work, items: Iterator[T], /) -> Iterator[T]: ...
+
+
+def unwatched(_: Work, records: Iterator[T]) -> Iterator[T]:
     return records
 
 

@@ -30,6 +30,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
+from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.core.wording import counted
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
@@ -44,6 +45,7 @@ from mbtool.logs.links import (
     ports_of,
     serial_lines,
 )
+from mbtool.logs.rotation import with_parts
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import (
     PACKET_KINDS,
@@ -73,16 +75,16 @@ if TYPE_CHECKING:
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
 UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
-DEFAULT_PORT = 502
 
-__all__ = ["DEFAULT_PORT", "UNDECODABLE_EVENTS", "Reading", "ReadingOptions"]
+__all__ = ["MODBUS_PORT", "UNDECODABLE_EVENTS", "Reading", "ReadingOptions"]
 
 
 class Reading:
     """Reads files once, and yields their transactions and events."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
-        self._paths = paths
+        """`paths` are files; the name of a log that was rotated stands for all of its parts."""
+        self._paths = paths = with_parts(paths)
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
@@ -113,7 +115,7 @@ class Reading:
         self._last_ns = 0
         """The time (UTC ns) of the last transaction or event that was yielded."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
-            options.ports or (DEFAULT_PORT,),
+            options.ports or (MODBUS_PORT,),
             options.rtu_ports,
         )
         self._any_port = options.any_port
@@ -137,6 +139,10 @@ class Reading:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
+    def profile_named(self, name: str) -> Profile | None:
+        """Return the profile in use that has this name; None if there is none."""
+        return next((one for one in self.assignments.profiles if one.name == name), None)
+
     @property
     def fraction(self) -> float | None:
         """The share (0 to 1) of the files read so far; None if it is unknown, as for a pipe."""
@@ -147,6 +153,10 @@ class Reading:
     def progress_text(self) -> str:
         """A text for a progress bar about the file that is being read: `file 3 of 60`."""
         return f"file {min(self.results.files_read + 1, len(self._paths))} of {len(self._paths)}"
+
+    @property
+    def noun(self) -> str:
+        return "transactions"
 
     @property
     def why_empty(self) -> str | None:
@@ -168,7 +178,7 @@ class Reading:
         ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
-            "name other ports with --port, for RTU over TCP with --rtu-port"
+            "--port any looks at all ports, --port N and for RTU over TCP --rtu-port N at some"
         )
 
     def demand_readable(self) -> None:
@@ -300,7 +310,7 @@ class Reading:
             Namer(options.assignments),
             line=options.line,
             timing=self._timing(options.assignments),
-            ports=options.ports or (DEFAULT_PORT,),
+            ports=options.ports or (MODBUS_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
             across=True,  # Several interfaces of the file may have captured one connection.
@@ -441,7 +451,7 @@ class Reading:
     ) -> Iterator[Record]:
         """Decode the packets and bytes of a log, or of a capture made from one, again."""
         options = self._options
-        ports = options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,)
+        ports = options.ports or ports_of(log, PORTS) or (MODBUS_PORT,)
         rtu_ports = options.rtu_ports or ports_of(log, RTU_PORTS)
         self._ports = (ports, rtu_ports)
         # If the user gave TCP ports, those stored in the log are not used.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError
@@ -17,16 +16,20 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
 
 
+WORTH_BYTES = 256 * 1024
+"""If the files have fewer bytes than this together, they are not decoded as arrays: importing numpy
+would take longer than arrays save."""
+
+
 def column_reading(
-    paths: Sequence[str], options: ReadingOptions, *, at_least: float = 0
+    paths: Sequence[str], options: ReadingOptions, *, at_least: int | None = None
 ) -> ColumnReading | None:
     """Return an object that reads the files once with the array decoder; None if that is not
-    possible.
+    possible, or if the files together have fewer than `at_least` bytes (default: WORTH_BYTES).
 
-    Returns None, too, if the files together have fewer than `at_least` bytes. The size of a
-    compressed file counts ten times.
+    The size of a compressed file counts ten times.
     """
-    if find_spec("numpy") is None or unpacked_bytes(paths) < at_least:
+    if unpacked_bytes(paths) < (WORTH_BYTES if at_least is None else at_least):
         return None
     with suppress(InputError):  # Reading the file will raise the error.
         if can_read_columns(paths, options):

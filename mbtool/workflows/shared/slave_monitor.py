@@ -21,12 +21,11 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, Who
-from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.distortion import wire_pieces
-from mbtool.modbus.response import ConnectionEnding
+from mbtool.modbus.adu import Adu
+from mbtool.modbus.response import ConnectionEnding, wire_pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from mbtool.core import LinkSpec
     from mbtool.decode.decoder import Record
@@ -50,12 +49,15 @@ class SlaveMonitor:
         others: Mapping[int, Profile] | None = None,
         *,
         limit: int = MAX_PENDING,
+        is_recorded: Callable[[int, bytes], bool] | None = None,
     ) -> None:
         """Prepare to pass on what happens on `link`.
 
         `others` are the profiles of single units; `profile` is for all other units, None for no
-        profile. At most `limit` requests wait to be shown.
+        profile. At most `limit` requests wait to be shown. `is_recorded` returns True for a request
+        that the recording has, given its unit and PDU; None if no recording is played.
         """
+        self._is_recorded = is_recorded
         beside = [Assignment(Who(unit=unit), one) for unit, one in (others or {}).items()]
         own = [] if profile is None else [Assignment(Who(), profile)]
         self._assignments = Assignments([*own, *beside])
@@ -140,6 +142,13 @@ class SlaveMonitor:
     def _records(self, request: Adu, response: Response | None) -> Iterator[Record]:
         transaction = self._transaction(request, response)
         yield self._namer.name(transaction)
+        if self._is_recorded is not None and not self._is_recorded(request.unit, request.pdu):
+            yield WireEvent(
+                ts_ns=request.end_ns,
+                link=self._ends.link,
+                kind=EventKind.UNRECORDED,
+                message="the request above was never recorded",
+            )
         if response is not None and response.distortion is not None:
             yield WireEvent(
                 ts_ns=request.end_ns + response.delay_ns,
@@ -151,7 +160,7 @@ class SlaveMonitor:
 
     def _transaction(self, request: Adu, response: Response | None) -> Transaction:
         if response is None:
-            if request.transport is not Transport.TCP and request.unit == 0:
+            if not request.transport.has_mbap and request.unit == 0:
                 return broadcast(self._ends, request)
             return no_answer(self._ends, request, 0)
         pieces = wire_pieces(response, request.transport, request.unit, request.transaction_id or 0)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 from mbtool.devices.importing.body import BodyReader
 from mbtool.devices.importing.columns import find_sheet
 from mbtool.devices.importing.locating import LocatedRow, locate_rows
-from mbtool.devices.importing.options import ImportOptions, Scaling
-from mbtool.devices.importing.report import ImportReport
+from mbtool.devices.importing.options import ImportOptions, ImportReport, Scaling
 
 if TYPE_CHECKING:
     from mbtool.devices.importing.rows import ListRow

@@ -14,8 +14,7 @@ from mbtool.devices.importing.addresses import (
     reference_table,
     table_and_base,
 )
-from mbtool.devices.importing.options import AddressStyle
-from mbtool.devices.importing.report import ImportReport
+from mbtool.devices.importing.options import AddressStyle, ImportReport
 from mbtool.devices.model import Radix
 from mbtool.modbus.tables import Table
 

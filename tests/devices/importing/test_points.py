@@ -11,7 +11,7 @@ from mbtool.devices.point_types import PointType
 from tests.devices.importing.listing import locate
 
 if TYPE_CHECKING:
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
 
 
 def made(text: str) -> tuple[list[RowPoint], ImportReport]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.devices.importing.columns import Meaning
-from mbtool.devices.importing.options import AddressStyle, ImportOptions, Scaling
+from mbtool.devices.importing.options import MAX_PROBLEMS, AddressStyle, ImportOptions, Scaling
 from mbtool.devices.importing.register_list import (
     MAX_BYTES,
     MAX_ROWS,
@@ -21,7 +21,6 @@ from mbtool.devices.importing.register_list import (
     ImportedList,
     import_register_list,
 )
-from mbtool.devices.importing.report import MAX_PROBLEMS
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, Point, Radix
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder

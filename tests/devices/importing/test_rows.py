@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.devices.importing.options import Scaling
-from mbtool.devices.importing.report import MAX_PROBLEMS, ImportReport
+from mbtool.devices.importing.options import MAX_PROBLEMS, ImportReport, Scaling
 from mbtool.devices.importing.rows import MAX_NAME
 from mbtool.devices.model import Access
 from tests.devices.importing.listing import read_rows

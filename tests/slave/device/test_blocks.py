@@ -6,8 +6,7 @@ import pytest
 
 from mbtool.devices import load_profile
 from mbtool.modbus import Table
-from mbtool.slave.device.blocks import Blocks
-from mbtool.slave.device.image import RegisterImage
+from mbtool.slave.device.image import Blocks, RegisterImage
 
 HOLDING, INPUT = Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS
 WAGO = load_profile("wago-750")

@@ -7,7 +7,7 @@ import pytest
 from mbtool.core import SerialLink, TcpLink, parse_link
 from mbtool.devices import load_profile
 from mbtool.modbus import Response
-from mbtool.slave.device.units import Units, units_on
+from mbtool.slave.device.responder import Units, units_on
 from tests.slave.scripted import Scripted, echo
 
 READ = bytes.fromhex("03 0000 0001")

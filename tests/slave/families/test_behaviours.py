@@ -10,8 +10,7 @@ from mbtool.devices.model import BehaviourName
 from mbtool.slave.device.behaviour import Behaviour
 from mbtool.slave.device.image import RegisterImage
 from mbtool.slave.families.behaviours import BEHAVIOURS, behaviour_of
-from mbtool.slave.families.fa3 import Fa3, Fa3DigitalOutput
-from mbtool.slave.families.fa3_analog import Fa3AnalogInput, Fa3AnalogOutput
+from mbtool.slave.families.fa3 import Fa3, Fa3AnalogInput, Fa3AnalogOutput, Fa3DigitalOutput
 
 
 @pytest.mark.parametrize(

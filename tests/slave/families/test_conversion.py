@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.slave.families.conversion import (
+from mbtool.slave.families.fa3 import (
     FULL_SCALE,
     MAX_STEPS,
     MovingMean,

@@ -11,7 +11,7 @@ from mbtool.devices import load_profile
 from mbtool.modbus import Table
 from mbtool.slave.device.connection_policy import MAX_NOTES, KeepAlive, Loss, Peer
 from mbtool.slave.device.image import RegisterImage
-from mbtool.slave.families.fa3_connections import DISCONNECTING_NS, RESETTING_NS, Fa3Connections
+from mbtool.slave.families.fa3 import DISCONNECTING_NS, RESETTING_NS, Fa3Connections
 
 PROFILE = load_profile("fa3-th1m16xc")
 SECOND = 1_000_000_000

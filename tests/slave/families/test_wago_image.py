@@ -10,7 +10,7 @@ from mbtool.devices import load_profile
 from mbtool.modbus import Table
 from mbtool.slave.device.image import RegisterImage
 from mbtool.slave.families import make_device
-from mbtool.slave.families.wago_image import stored_range
+from mbtool.slave.families.wago import stored_range
 
 if TYPE_CHECKING:
     from mbtool.slave.device.responder import DeviceResponder

@@ -8,7 +8,7 @@ from mbtool.core import LinkError, TcpLink, parse_link
 from mbtool.master.links import open_master
 from mbtool.modbus import Response
 from mbtool.slave.shells import TcpSlave
-from mbtool.slave.shells.shell_group import ShellGroup
+from mbtool.slave.shells.opening import ShellGroup
 from tests.slave.scripted import Scripted
 from tests.workflows.bench import ANY
 from tests.workflows.evidence import READ, VALUES

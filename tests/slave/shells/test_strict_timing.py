@@ -8,7 +8,7 @@ from mbtool.core import SerialFormat
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.adu import Adu
 from mbtool.serial_line.rtu import RtuSplitter
-from mbtool.slave.shells.strict_timing import StrictTiming
+from mbtool.slave.shells.serial_shell import StrictTiming
 
 LINE = SerialFormat(9600)
 MS = 1_000_000

@@ -17,13 +17,13 @@ from mbtool.modbus import Response, mbap_adu, rtu_adu
 from mbtool.modbus.response import ConnectionEnding, Distortion
 from mbtool.slave.device.connection_policy import ConnectionPolicy, KeepAlive, Loss, Peer
 from mbtool.slave.shells import TcpSlave
-from mbtool.slave.shells.tcp_connection import MasterConnection
+from mbtool.slave.shells.tcp_shell import MasterConnection
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mbtool.slave.shells.tcp_connection import Host
+    from mbtool.slave.shells.tcp_shell import Host
 
 LOOPBACK = TcpLink(Endpoint("127.0.0.1", 0))
 READ = bytes.fromhex("03 0000 0001")

@@ -15,12 +15,12 @@ from pymodbus.client import ModbusTcpClient
 from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.devices import load_profile
 from mbtool.modbus import Response, Table, mbap_adu, rtu_adu
-from mbtool.ports.allowed_peers import AllowedPeers
+from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import Bounds, TcpSlave
-from mbtool.slave.shells.tcp_connection import READ_BYTES
+from mbtool.slave.shells.tcp_shell import READ_BYTES
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ def test_no_more_histograms_are_computed_than_shown(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(Distribution, "bars", count)
     monkeypatch.setattr(contents, "MAX_BARS", 6)
-    bars = contents._bars(report(statistics))
+    bars = contents._bars(report(statistics), {})
     assert [(one["link"], one["unit"]) for one in bars] == [
         ("a", None), ("a", 0), ("a", 1), ("a", 2), ("b", None), ("b", 0),
     ]  # fmt: skip

@@ -121,7 +121,7 @@ def test_a_device_without_the_function_for_one_value_gets_the_one_for_several() 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("40001", "'40001': vendors mean different registers by five digits; write 'holding 0'"),
+        ("40000", "'40000': vendors mean different registers by five digits; write 'holding 0'"),
         ("nonsense", "'nonsense' is no range of registers; write 'holding 10..20'"),
         ("D100", "as the device's manual does, with --device"),
         ("holding 9..0", "from the lower to the higher"),

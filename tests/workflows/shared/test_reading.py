@@ -327,8 +327,8 @@ def test_says_how_far_it_is(tmp_path: Path) -> None:
         (
             capture_file(),
             (1502, 4001),
-            "a.pcap: no Modbus at TCP port 1502, 4001; name other ports with --port, "
-            "for RTU over TCP with --rtu-port",
+            "a.pcap: no Modbus at TCP port 1502, 4001; --port any looks at all ports, --port N "
+            "and for RTU over TCP --rtu-port N at some",
         ),
         (capture_file(), (), None),
     ],

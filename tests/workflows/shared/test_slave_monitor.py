@@ -84,6 +84,16 @@ def test_behind_a_spoilt_answer_stands_what_was_done_to_it(spoiling: Distortion,
     assert not isinstance(good, WireEvent)
 
 
+def test_behind_a_request_that_was_never_recorded_stands_that_it_was_not() -> None:
+    monitor = SlaveMonitor(TOUCH, parse_link("tcp:127.0.0.1:1502"), is_recorded=lambda *_: False)
+    monitor.take(_request(), Response(VALUE))
+    _, event = monitor.records()
+    assert isinstance(event, WireEvent)
+    assert (event.kind, event.message) == (
+        EventKind.UNRECORDED, "the request above was never recorded",
+    )  # fmt: skip
+
+
 def test_unit_0_is_a_broadcast_on_a_line_only() -> None:
     serial = SlaveMonitor(TOUCH, parse_link("rtu+tcp:127.0.0.1:1502"))
     (adu,) = RtuStreamSplitter(Direction.REQUEST).feed(rtu_adu(0, READ), 1_000)

@@ -343,8 +343,10 @@ function verdict() {
   get("verdict").classList.add(level);
   get("sentence").textContent = together(clean(sentence));
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
-  document.title = clean(`mbtool report: ${shownNames}`);
-  get("what").append(clean(shownNames));
+  const { title, note, where } = data.words;
+  document.title = clean(title || `mbtool report: ${shownNames}`);
+  get("what").append(title ? el("strong", {}, `${title} · `) : "", clean(shownNames), where ? clean(` · only ${where}`) : "");
+  if (note) get("figures").before(...note.split("\n").filter((line) => line.trim()).map((line) => el("p", { class: "words" }, line)));
   const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: show the transactions. ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
@@ -462,13 +464,12 @@ function failures() {
   if (whole) place.append(whole);
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.late || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
-    .sort(([, a], [, b]) => b.no_answer + b.late + b.exception - a.no_answer - a.late - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), one.unit === null ? "other" : String(one.unit), functionText(one), count(one.requests), some(one.late), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   const sumOf = (name) => total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), damaged = sumOf("wrong_crc");
   const sums = FAILURES.map(([, label, , name]) => (name === "wrong_crc" ? "" : sumOf(name) && `${count(sumOf(name))} ${label}${name === "no_answer" && damaged ? `, of these ${count(damaged)} with a wrong CRC` : ""}`)).filter(Boolean);
   show("failures", sums.length ? sums.join("; ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
-    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">late", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">late", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unsolicited", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that are in trouble or were asked most; ${plural(unitsSeen() - bins.units.length, "unit")} left out.`) : null);
 }

@@ -1,0 +1,188 @@
+"""Tells how well a series of numbers fits an idea of what it is, as a cost in bits."""
+
+# The cost is the length of the series in a code that is short for what values of devices do: begin
+# near 0, have few decimal digits, change by about as much as before. The idea of the registers
+# whose code is the shortest is the most probable: one bit less is twice as probable.
+#
+# Changes are coded by their size: the number k of binary digits of the change, and then k - 1
+# digits. k is cheap if earlier changes had it. So 60 changes of a counter, or of a noisy value,
+# cost what their digits cost, and one change of another size (a carry read as a fall) costs much.
+#
+# The samples of a series are not independent, and no device is exactly as the code supposes. So the
+# cost of all changes counts as if there were at most INDEPENDENT of them; the dearest ones, such as
+# a carry that is read as a fall, count in full.
+
+from __future__ import annotations
+
+import math
+import struct
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+INDEPENDENT = 20
+MAGNITUDES = (1e-4, 1e9)
+"""The greatest absolute value of a measurement is between these, unless it is always 0."""
+IMPOSSIBLE = math.inf
+"""The cost in bits of what no device does."""
+MOST_DECIMALS = 5
+_FEW_OF_32_BITS, _FEW_OF_64_BITS = 2_000_000, 1e14
+"""A float with few decimals is, without its point, less than this."""
+_BEYOND_COUNTING = 30.0
+"""The extra cost of a number that nothing measured or counted is."""
+_HUGE = 6.0
+"""The extra cost of a number of 32 bits that uses them nearly all: it is rather a float."""
+_FEWEST_FLIPS = 3
+_RARE = 4
+"""So many of the dearest changes of a series count in full."""
+_CHEAP = 8.0
+"""The bits of a series for which no cheaper code is looked for."""
+_MOST_STATES = 8
+_HIT = 12.0
+_WIDE_NOISE = 13
+"""A number of 16 bits seldom changes by 2^12 or more most of the time."""
+
+
+def whole_cost(number: int, bits: int) -> float:
+    """The cost of a whole number of this many bits: small ones are more frequent."""
+    cost = math.log2(abs(number) + 1) + math.log2(bits * 0.6931) + (bits > 16 or number < 0)
+    if abs(number) >> 53:
+        return cost + _BEYOND_COUNTING
+    return cost + (_HUGE if bits == 32 and abs(number) >> 28 else 0)
+
+
+def changes_cost(numbers: Sequence[int], bits: int) -> float:
+    """The cost of the changes of a whole number over time."""
+    cost = _steps_cost(numbers, bits)
+    if cost < _CHEAP or len(numbers) < 3:
+        return cost
+    # A number that goes on as before is known by the changes of its changes.
+    further = [after - before for before, after in pairwise(numbers)]
+    cost = min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
+    states = set(numbers)
+    if len(states) <= _MOST_STATES and len(states) * 3 <= len(numbers):
+        # A number that has only a few values is known by them.
+        news = sum(whole_cost(one, bits) for one in states) - whole_cost(numbers[0], bits)
+        cost = min(cost, news + math.log2(len(states)) * min(len(numbers), INDEPENDENT))
+    return cost
+
+
+def _steps_cost(numbers: Sequence[int], bits: int) -> float:
+    counts: dict[int, int] = {}
+    total = usual = ups = moves = 0
+    costs = []
+    for before, now in pairwise(numbers):
+        change = now - before
+        size = change.bit_length() if change > 0 else (-change).bit_length()
+        if total:
+            nearness = 0.43 / (1 + abs(size - usual)) ** 2
+            cost = -math.log2((counts.get(size, 0) + nearness) / (total + 1))
+        else:
+            cost = math.log2(bits) if size else 1.0
+        counts[size] = counts.get(size, 0) + 1
+        total += 1
+        if size:
+            is_up = change > 0
+            cost += size - 1 - math.log2(((ups if is_up else moves - ups) + 0.5) / (moves + 1))
+            ups += is_up
+            moves += 1
+            usual = size if moves == 1 else round((usual * 3 + size) / 4)
+        costs.append(cost)
+    if total <= INDEPENDENT:
+        return sum(costs)
+    costs.sort()
+    rest = sum(costs[:-_RARE])
+    return sum(costs[-_RARE:]) + rest * (INDEPENDENT - _RARE) / (total - _RARE)
+
+
+def noise_cost(numbers: Sequence[int], bits: int) -> float:
+    """The extra cost of a number that jumps over its whole range most of the time."""
+    sizes = sorted(abs(now - before).bit_length() for before, now in pairwise(numbers))
+    moves = [size for size in sizes if size]
+    if len(moves) < 4 or len(moves) * 3 < len(sizes):
+        return 0.0
+    return 7.0 * max(moves[len(moves) // 2] - (bits - 16 + _WIDE_NOISE) + 1, 0)
+
+
+def clipped_gain(numbers: Sequence[int], ends: tuple[int, ...]) -> float:
+    """How much cheaper a number is that is often exactly at an end of its range, but varies much.
+
+    A device that computes a number beyond the range of its type writes the end of the range.
+    """
+    hits = sum(number in ends for number in numbers)
+    others = [number for number in numbers if number not in ends]
+    if hits < 2 or len(others) < 4 or max(others) - min(others) < 1 << _WIDE_NOISE:
+        return 0.0
+    return _HIT * hits * min(1.0, INDEPENDENT / len(numbers))
+
+
+def flags_cost(words: Sequence[int]) -> float:
+    """The cost of a register whose bits change one by one."""
+    flips = [(before ^ now).bit_count() for before, now in pairwise(words) if before != now]
+    if len(flips) < _FEWEST_FLIPS or max(flips) > 2:
+        return IMPOSSIBLE
+    still = max(len(words) - 1 - len(flips), 1)
+    share = len(flips) / (len(flips) + still)
+    of_times = len(flips) * -math.log2(share) - still * math.log2(1 - share)
+    cost = of_times + sum(1.0 + 3.0 * one if one == 1 else 12.0 for one in flips)
+    return 18.0 + cost * min(1.0, INDEPENDENT / max(len(words) - 1, 1))
+
+
+def float_cost(numbers: Sequence[float], bits: int) -> float:
+    """The cost of a series of floats of 32 or 64 bits."""
+    if not all(map(math.isfinite, numbers)):
+        return IMPOSSIBLE
+    greatest = max(map(abs, numbers))
+    if greatest == 0:
+        return 3.0
+    low, high = MAGNITUDES
+    if not low <= greatest < high:
+        return IMPOSSIBLE
+    least = min(abs(number) for number in numbers if number)
+    if least < greatest * 1e-9:
+        return IMPOSSIBLE
+    raw = _raw_float_cost(numbers, bits)
+    decimals = few_decimals(numbers, bits)
+    if decimals is None:
+        return raw
+    scaled = [round(number * 10**decimals) for number in numbers]
+    first = max(scaled, key=abs)
+    return min(raw, 3.0 + whole_cost(first, 24 if bits == 32 else 48) + changes_cost(scaled, bits))
+
+
+def _raw_float_cost(numbers: Sequence[float], bits: int) -> float:
+    exponent = math.frexp(max(map(abs, numbers)))[1]
+    first = 7.0 + 0.1 * abs(exponent - 7) + (23 if bits == 32 else 52)
+    return first + changes_cost(ordered_bits(numbers, bits), bits)
+
+
+def ordered_bits(numbers: Sequence[float], bits: int) -> list[int]:
+    """Whole numbers that are in the same order as these floats, without gaps."""
+    form, kind = ("f", "i") if bits == 32 else ("d", "q")
+    raw = struct.unpack(f">{len(numbers)}{kind}", struct.pack(f">{len(numbers)}{form}", *numbers))
+    lowest = -(1 << (bits - 1))
+    return [one if one >= 0 else lowest - one for one in raw]
+
+
+def few_decimals(numbers: Sequence[float], bits: int) -> int | None:
+    """The number of decimals that all the floats have; None if they have more than a few.
+
+    Every float of 32 bits has few decimals if it is large enough, which says nothing.
+    """
+    most = _FEW_OF_32_BITS if bits == 32 else _FEW_OF_64_BITS
+    greatest = max(map(abs, numbers))
+    for decimals in range(MOST_DECIMALS + 1):
+        if greatest * 10**decimals >= most:
+            return None
+        if all(_has_decimals(number, decimals, bits) for number in numbers):
+            return decimals
+    return None
+
+
+def _has_decimals(number: float, decimals: int, bits: int) -> bool:
+    rounded = round(number, decimals)
+    if bits == 64:
+        return rounded == number
+    return struct.pack(">f", rounded) == struct.pack(">f", number)

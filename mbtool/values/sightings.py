@@ -1,0 +1,135 @@
+"""Reads what a user saw on a display: `23.4`, `Voltage=236.8+-0.5V@10:15:03`."""
+
+#     [NAME=]NUMBER[+-TOLERANCE][UNIT][@TIME]
+#
+# A number means what a display rounds to it: 23.4 is 23.35 to 23.45. Numbers with the same name are
+# one display, seen several times; so are numbers without a name that have a time. Any other number
+# is a display of its own. A time is a moment, a time since the recording began, or a time of day.
+#
+# A file of such numbers has a row for each time, separated by commas, semicolons or tabs: the time,
+# then a number for each display. A first row of words names them.
+
+from __future__ import annotations
+
+import csv
+import re
+from decimal import Decimal
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core.errors import UsageError
+from mbtool.core.moments import DAY_NS, SECOND_NS, TimePoint, parse_moment
+from mbtool.values.finding import Sighting, Wanted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+MAX_SEEN = 10_000
+"""A user can give at most this many numbers."""
+
+_NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+_SEEN = re.compile(
+    rf"(?P<number>{_NUMBER})\s*(?:(?:\+-|\+/-|±)\s*(?P<tolerance>\d+(?:\.\d+)?))?"
+    r"\s*(?P<unit>[A-Za-z%°µΩ‰][^@=]*)?(?:@(?P<time>.+))?"
+)
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(\.\d{1,9})?)?")
+_EXAMPLE = "write a number as the display shows it, such as 23.4, Voltage=236.8V or 23.4@10:15:03"
+
+
+class SeenTime(NamedTuple):
+    """When a number was seen, as the user gave it."""
+
+    point: TimePoint | None
+    clock_ns: int | None = None
+    """The time since 00:00 UTC, if the user gave a time of day."""
+
+    def at_ns(self, first_ns: int) -> int:
+        """The time (UTC ns) in a recording that begins at `first_ns`."""
+        if self.point is not None:
+            return self.point.ns if self.point.is_absolute else first_ns + self.point.ns
+        at_ns = first_ns // DAY_NS * DAY_NS + (self.clock_ns or 0)
+        return at_ns if at_ns >= first_ns - DAY_NS // 2 else at_ns + DAY_NS
+
+
+class Seen(NamedTuple):
+    """A number that a user saw."""
+
+    name: str
+    value: float
+    tolerance: float
+    unit: str
+    time: SeenTime | None
+
+
+def parse_seen(text: str) -> Seen:
+    """Read one number. Raises UsageError if the text is none."""
+    name, _, rest = text.rpartition("=")
+    match = _SEEN.fullmatch(rest.strip())
+    if match is None:
+        raise UsageError(f"{text!r}: {_EXAMPLE}")
+    value = Decimal(match["number"])
+    exponent = value.as_tuple().exponent
+    assert isinstance(exponent, int)
+    step = float(Decimal(1).scaleb(exponent)) / 2
+    tolerance = float(match["tolerance"]) if match["tolerance"] else step
+    time = None if match["time"] is None else parse_time(match["time"])
+    return Seen(
+        name.strip(), float(value), max(tolerance, step), (match["unit"] or "").strip(), time
+    )
+
+
+def parse_time(text: str) -> SeenTime:
+    """Read the time at which something was seen. Raises UsageError if the text is none."""
+    clock = _CLOCK.fullmatch(text.strip())
+    if clock is None:
+        return SeenTime(parse_moment(text.strip(), "time"))
+    hours, minutes, seconds = (int(one or 0) for one in clock.groups()[:3])
+    if hours > 23 or minutes > 59 or seconds > 59:
+        raise UsageError(f"time {text!r}: there is no such time of day")
+    fraction_ns = int(float(clock[4] or 0) * SECOND_NS)
+    return SeenTime(None, ((hours * 60 + minutes) * 60 + seconds) * SECOND_NS + fraction_ns)
+
+
+def parse_table(text: str, file: str) -> list[Seen]:
+    """Read a file of numbers with their times. Raises UsageError if it has another form."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise UsageError(f"{file}: no numbers; a row has a time and a number: 10:15:03,23.4")
+    separator = next((one for one in "\t;," if one in lines[0]), ",")
+    rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
+    names = [one.strip() for one in rows[0][1:]]
+    if any(_SEEN.fullmatch(name) for name in names):
+        names = [f"column {at}" if at > 1 else "value" for at in range(1, len(names) + 1)]
+    else:
+        del rows[0]
+    found = []
+    for row in rows:
+        for name, number in zip(names, row[1:], strict=False):
+            if number.strip():
+                seen = parse_seen(number)
+                found.append(seen._replace(name=name, time=parse_time(row[0])))
+    if len(found) > MAX_SEEN:
+        raise UsageError(f"{file}: {len(found):,} numbers; at most {MAX_SEEN:,} can be looked for")
+    return found
+
+
+def wanted_of(seen: Sequence[Seen], first_ns: int) -> list[Wanted]:
+    """Join the numbers of each display; `first_ns` is the beginning of the recording (UTC ns)."""
+    groups: dict[tuple[str, int], list[Seen]] = {}
+    for place, one in enumerate(seen):
+        is_alone = not one.name and one.time is None
+        groups.setdefault((one.name, place if is_alone else -1), []).append(one)
+    return [
+        Wanted(
+            own[0].name,
+            [
+                Sighting(
+                    one.value,
+                    one.tolerance,
+                    None if one.time is None else one.time.at_ns(first_ns),
+                )
+                for one in own
+            ],
+            next((one.unit for one in own if one.unit), ""),
+        )
+        for own in groups.values()
+    ]

@@ -1,0 +1,84 @@
+"""The ways to read registers as numbers: a type, and the order of words and bytes."""
+
+from __future__ import annotations
+
+import struct
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class Order(StrEnum):
+    """The order of the bytes of a number of several registers; A is its highest byte."""
+
+    ABCD = "ABCD"
+    CDAB = "CDAB"
+    BADC = "BADC"
+    DCBA = "DCBA"
+
+    @property
+    def is_low_first(self) -> bool:
+        """True if the register with the lowest digits comes first."""
+        return self in (Order.CDAB, Order.DCBA)
+
+    @property
+    def is_swapped(self) -> bool:
+        """True if the two bytes of each register are swapped."""
+        return self in (Order.BADC, Order.DCBA)
+
+    @property
+    def words(self) -> WordOrder:
+        return WordOrder.LOW_FIRST if self.is_low_first else WordOrder.HIGH_FIRST
+
+    @property
+    def bytes(self) -> ByteOrder:
+        return ByteOrder.LOW_FIRST if self.is_swapped else ByteOrder.HIGH_FIRST
+
+
+class WordReading(NamedTuple):
+    """A way to read registers as a number."""
+
+    type: PointType
+    order: Order = Order.ABCD
+
+    @property
+    def words(self) -> int:
+        return self.type.words
+
+
+_FORMATS = {
+    PointType.UINT16: "H",
+    PointType.HEX16: "H",
+    PointType.INT16: "h",
+    PointType.UINT32: "I",
+    PointType.INT32: "i",
+    PointType.FLOAT32: "f",
+    PointType.UINT64: "Q",
+    PointType.INT64: "q",
+    PointType.FLOAT64: "d",
+}
+_SWAPPED = [(word >> 8) | ((word & 0xFF) << 8) for word in range(1 << 16)]
+
+
+def numbers_in(columns: Sequence[Sequence[int]], reading: WordReading) -> Sequence[float] | None:
+    """Return the numbers that some registers hold, one for each time.
+
+    `columns` has the words of each register over time, in the order of addresses. None if they
+    hold no number: digits that are not BCD.
+    """
+    if reading.order.is_low_first:
+        columns = columns[::-1]
+    if reading.order.is_swapped:
+        columns = [[_SWAPPED[word] for word in column] for column in columns]
+    words = [word for row in zip(*columns, strict=True) for word in row]
+    data = struct.pack(f">{len(words)}H", *words)
+    form = _FORMATS.get(reading.type)
+    if form is not None:
+        return struct.unpack(f">{len(columns[0])}{form}", data)
+    size = 2 * len(columns)
+    digits = [data[at : at + size].hex() for at in range(0, len(data), size)]
+    return [int(one) for one in digits] if all(map(str.isdecimal, digits)) else None

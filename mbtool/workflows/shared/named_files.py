@@ -1,0 +1,61 @@
+"""Finds the capture files that a user names: files, folders, and quoted patterns."""
+
+# A folder stands for all captures in it and below. They are known by their names, as a folder may
+# hold much else; a text log or the bytes of a serial line must be named. A pattern stands for the
+# files that fit it. Both come in the order of their names, with numbers in them as numbers, so that
+# site-2.pcap comes before site-10.pcap.
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from typing import TYPE_CHECKING
+
+from mbtool.core import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_CAPTURE = re.compile(r".+\.(?:pcap|pcapng|cap|mcap|sr)\d*(?:\.gz|\.zst)?", re.IGNORECASE)
+_WILD = re.compile(r"[*?\[]")
+_NUMBER = re.compile(r"(\d+)")
+
+
+def named_files(paths: Sequence[str]) -> list[str]:
+    """Return the files that `paths` name. A path that is no folder and no pattern stays as it is.
+
+    Raises InputError for a folder without captures, and a pattern that no file fits.
+    """
+    return [file for path in paths for file in _files_of(path)]
+
+
+def is_folder(path: str) -> bool:
+    return os.path.isdir(path)
+
+
+def _files_of(path: str) -> list[str]:
+    if is_folder(path):
+        found = [
+            os.path.join(folder, name)
+            for folder, _, names in os.walk(path)
+            for name in names
+            if _CAPTURE.fullmatch(name)
+        ]
+        if not found:
+            raise InputError(f"{path}: no capture in this folder: no .pcap, .pcapng, .cap, .mcap")
+        return sorted(found, key=_order)
+    if _WILD.search(path) and not os.path.lexists(path):
+        found = [one for one in glob.glob(path, recursive=True) if not is_folder(one)]
+        if not found:
+            raise InputError(f"{path}: no file fits this pattern")
+        return sorted(found, key=_order)
+    return [path]
+
+
+def _order(path: str) -> list[tuple[int, str]]:
+    """Return a key that sorts names with the numbers in them as numbers."""
+    return [
+        (int(part), "") if number % 2 else (0, part)
+        for number, part in enumerate(_NUMBER.split(path))
+    ]

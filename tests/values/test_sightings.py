@@ -1,0 +1,71 @@
+"""Reading what a user saw on a display."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.core.errors import UsageError
+from mbtool.core.moments import SECOND_NS
+from mbtool.values.sightings import parse_seen, parse_table, wanted_of
+
+FIRST_NS = 1_790_000_000 * SECOND_NS
+"""2026-09-21 14:13:20 UTC."""
+
+
+def test_a_number_means_what_a_display_rounds_to_it() -> None:
+    assert (parse_seen("23.4").value, parse_seen("23.4").tolerance) == (23.4, 0.05)
+    assert parse_seen("1200").tolerance == 0.5
+    assert parse_seen("-0.419").tolerance == pytest.approx(0.0005)
+
+
+def test_name_tolerance_unit_and_time_are_read() -> None:
+    seen = parse_seen("Flow temp=23.4+-0.2 degC@90s")
+    assert (seen.name, seen.value, seen.tolerance, seen.unit) == ("Flow temp", 23.4, 0.2, "degC")
+    assert seen.time is not None
+    assert seen.time.at_ns(FIRST_NS) == FIRST_NS + 90 * SECOND_NS
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("@14:14", 40), ("@14:13:20.5", 0.5), ("@2026-09-21T14:13:30", 10), ("@00:00:00", 35_200)],
+)
+def test_times_are_moments_or_times_of_day(text: str, seconds: float) -> None:
+    time = parse_seen(f"5{text}").time
+    assert time is not None
+    assert time.at_ns(FIRST_NS) - FIRST_NS == seconds * SECOND_NS
+
+
+@pytest.mark.parametrize("text", ["", "x", "23,4", "--wrong", "23.4@noon", "5@25:00", "=", "1=2=x"])
+def test_other_texts_are_refused_in_one_line(text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_seen(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_of_one_name_or_with_times_are_one_display() -> None:
+    texts = ["U=230.1@1s", "U=230.4@9s", "23.4@1s", "23.9@9s", "7", "7"]
+    wanted = wanted_of([parse_seen(text) for text in texts], FIRST_NS)
+    assert [(one.name, len(one.sightings)) for one in wanted] == [
+        ("U", 2),
+        ("", 2),
+        ("", 1),
+        ("", 1),
+    ]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_file_has_a_time_and_a_number_for_each_display(separator: str) -> None:
+    text = "time,Flow,Return\n14:13:21,23.4,19.9\n14:13:30,23.9,\n".replace(",", separator)
+    seen = parse_table(text, "seen.csv")
+    assert [(one.name, one.value) for one in seen] == [
+        ("Flow", 23.4),
+        ("Return", 19.9),
+        ("Flow", 23.9),
+    ]
+    (plain,) = parse_table(f"10s{separator}5.5\n", "seen.csv")
+    assert plain.name == "value"
+
+
+def test_an_empty_file_is_told() -> None:
+    with pytest.raises(UsageError, match="no numbers"):
+        parse_table("# nothing\n", "seen.csv")

@@ -1,0 +1,68 @@
+"""Folders and patterns of capture files."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import InputError
+from mbtool.workflows.shared.named_files import named_files
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NAMES = (
+    "b/site-10.pcap", "b/site-2.pcap.gz", "b/notes.txt", "a.mcap", "b/c/x.pcapng", "b/y.PCAP3",
+    "b/report.html", "b/z.cap.zst", "b/.lock",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _captures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in NAMES:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("named", "found"),
+    [
+        ("a.mcap", ["a.mcap"]),
+        ("-", ["-"]),
+        ("none.pcap", ["none.pcap"]),
+        ("b", ["b/c/x.pcapng", "b/site-2.pcap.gz", "b/site-10.pcap", "b/y.PCAP3", "b/z.cap.zst"]),
+        ("b/site-*", ["b/site-2.pcap.gz", "b/site-10.pcap"]),
+        ("b/?ote*", ["b/notes.txt"]),
+        ("**/*.pcapng", ["b/c/x.pcapng"]),
+    ],
+)
+def test_a_name_stands_for_its_files_in_the_order_of_their_names(
+    named: str, found: list[str]
+) -> None:
+    assert named_files([named]) == [one.replace("/", os.sep) for one in found]
+
+
+def test_a_file_whose_name_looks_like_a_pattern_is_that_file(tmp_path: Path) -> None:
+    (tmp_path / "x[1].pcap").write_bytes(b"")
+    (tmp_path / "x1.pcap").write_bytes(b"")
+    assert named_files(["x[1].pcap"]) == ["x[1].pcap"]
+
+
+def test_several_names_are_taken_in_their_order() -> None:
+    assert named_files(["b/c", "a.mcap"]) == [os.path.join("b/c", "x.pcapng"), "a.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [("*.pcap", r"\*\.pcap: no file fits this pattern"), ("empty", "empty: no capture in this")],
+)
+def test_a_name_that_stands_for_no_file_is_one_clear_line(
+    named: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=said):
+        named_files([named])
