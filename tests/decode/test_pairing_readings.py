@@ -89,9 +89,11 @@ def test_a_response_costs_what_speaks_against_its_request(
 
 
 def test_requests_behind_an_answered_one_cost_extra() -> None:
-    of = reading(request(2))
+    of = reading()
     of.passed.append(request(1))
-    assert costs(of) == {2: 0.0, 1: OUT_OF_ORDER}
+    assert costs(of) == {1: OUT_OF_ORDER}
+    of.waiting.append(request(2))
+    assert costs(of) == {2: 0.0}  # So much dearer ones are not looked at.
 
 
 def test_a_request_that_the_capture_lacks_is_not_preferred_to_one_with_this_id() -> None:
