@@ -31,6 +31,7 @@ import mbtool.workflows
 from mbtool.cli.main import main
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 _WITH_NUMPY = {"decode_job", "decode_run"}
@@ -73,13 +74,19 @@ class Running:
         """The output so far, without a last line that is still being written."""
         return self.output[: self.output.rfind("\n") + 1]
 
-    def read_until(self, *, lines: int | None = None, is_begun: bool = False) -> None:
-        """Read until the command ends, has printed so many lines, or says that it has begun."""
+    def read_until(
+        self,
+        *,
+        lines: int | None = None,
+        is_begun: bool = False,
+        is_enough: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Read until the command ends, has printed so many lines or enough, or has begun."""
         end_s = time.monotonic() + PATIENCE_S
         while self.code is None:
             if lines is not None and self.output.count("\n") >= lines:
                 return
-            if is_begun and IS_RUNNING in self.output:
+            if (is_begun and IS_RUNNING in self.output) or is_enough():
                 return
             if time.monotonic() > end_s:
                 self._send(signal.SIGKILL)
