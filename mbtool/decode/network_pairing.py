@@ -220,7 +220,7 @@ class NetworkPairing:
                 is_one = place is not None and not (number and lost % _USUAL_REQUEST)
                 self._readings[0].waiting[-1].exists = is_one
             if self._is_lossy and (end is None or lost >= ONE_REQUEST):
-                self._doubt = OrderDoubt([])
+                self._doubt_order([])
         else:
             self._lose_responses(lost, at_ns)
         self._settle(done)
@@ -451,8 +451,7 @@ class NetworkPairing:
         limit = min(total for total, *_ in runs) + MARGIN
         is_counted = is_counted and sum(total <= limit for total, *_ in runs) == 1
         if self._is_lossy and not is_counted:
-            is_begin = self._doubt is None
-            self._doubt = OrderDoubt(_open_in(self._readings[0]), others_answered=is_begin)
+            self._doubt_order(_open_in(self._readings[0]), others_answered=self._doubt is None)
         if len(runs) == 1 and not runs[0][3]:
             return
         self._readings = []
@@ -461,6 +460,11 @@ class NetworkPairing:
                 other = reading.copy()
                 other.lose(start, count, cost, at_ns)
                 self._readings.append(other)
+
+    def _doubt_order(self, open_: list[OpenRequest], *, others_answered: bool = False) -> None:
+        """Doubt the order anew after a loss; a doubt that a choice began stays one."""
+        was_of_choice = self._doubt is not None and self._doubt.is_of_choice
+        self._doubt = OrderDoubt(open_, others_answered=others_answered, is_of_choice=was_of_choice)
 
     def _lost_runs(self, reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
         """Find the waiting requests whose responses can be `lost` bytes, as `lost_runs` does.

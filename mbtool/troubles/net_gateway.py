@@ -126,7 +126,6 @@ class _MasterTalk:
         default_factory=lambda: deque(maxlen=RECENT)
     )
     """The last transactions, and when each began."""
-    number: int = 0
     overlaps: int = 0
     """How often a request came while another one was not answered yet, until `late` is full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
@@ -210,7 +209,7 @@ class Gateways(Sense):
             if len(self._connections) >= MAX_LINKS:
                 self._connections.popitem(last=False)
             connection = self._connections[key] = _MasterTalk()
-        connection.number += 1
+        self._connections.move_to_end(key)
         begin_ns = one.start_ns
         for other_ns, other in connection.recent:
             if (begin_ns >= other_ns and (other.response_ns or 0) <= begin_ns) or (
@@ -312,7 +311,7 @@ def _waits_of(requests: Iterable[_SlowRequest]) -> tuple[list[_SharedWait], int]
     """Return the requests that wait for one of another master, and how many of them overtake it."""
     waits, overtakes = [], 0
     open_: list[_SlowRequest] = []
-    for one in sorted(requests):
+    for one in sorted(requests, key=lambda each: (each.begin_ns, each.end_ns)):
         open_ = [each for each in open_ if each.end_ns > one.begin_ns + WAIT_NS]
         before = max(
             (each for each in open_ if each.master != one.master),
@@ -357,7 +356,7 @@ def _slope(groups: Sequence[Sequence[_SharedWait]]) -> float:
 
 def _blocked(link: str, slow: Sequence[_Slow]) -> Iterator[Trouble]:
     """Yield the units of a gateway that the requests to its other units wait for."""
-    in_order = sorted(slow)
+    in_order = sorted(slow, key=lambda one: (one.begin_ns, one.end_ns, one.unit))
     waits: dict[int, list[_Slow]] = {}
     """By unit, the requests to other units that waited for it."""
     waiting: list[_Slow] = []

@@ -160,6 +160,16 @@ def test_masters_that_wait_for_each_other_at_a_gateway_are_told() -> None:
     assert trouble.evidence
 
 
+def test_requests_with_equal_times_are_judged() -> None:
+    waits = in_turn(100, is_serial=True)
+    equal = [one for one in waits for _ in range(2)]
+    equal += [msgspec.structs.replace(one, address=None) for one in waits]
+    equal += [
+        missing(1000 * at, unit=3, master=each) for at in range(60) for each in (MASTER, "10.0.0.9")
+    ]
+    judged(equal)
+
+
 def test_a_slave_that_serves_two_masters_at_once_is_not_shared() -> None:
     told = judged(in_turn(100, is_serial=False))
     assert "NET-SHARED" not in [one.code for one in told.troubles]
