@@ -49,9 +49,9 @@ class Program:
         self.process.send_signal(signal.SIGINT)
         return self.wait()
 
-    def wait(self) -> int:
+    def wait(self, limit_s: float = PATIENCE_S) -> int:
         """The exit code, once the process has ended and all it printed is collected."""
-        code = self.process.wait(PATIENCE_S)
+        code = self.process.wait(limit_s)
         self.printed.finish()
         self.said.finish()
         return code
