@@ -67,7 +67,7 @@ class ValueTarget:
         """Convert a value of the file to the contents of the target's registers, or of its bit.
 
         With `stored`, a whole number is taken as a register's content. Without it, a whole number
-        for a named point, or for one of several registers, is in the point's unit. Raises
+        for a named point, for BCD, or for one of several registers, is in the point's unit. Raises
         UsageError for a value that the registers or the bit cannot hold.
         """
         if isinstance(value, bool):
@@ -130,7 +130,9 @@ class ValueTarget:
     def _is_measured(self) -> bool:
         """True if a whole number in the file is in the point's unit, not a register's content."""
         return self.point is not None and (
-            self.is_named or (self.point.words > 1 and self.point.type is not PointType.STRING)
+            self.is_named
+            or self.point.type is PointType.BCD16
+            or (self.point.words > 1 and self.point.type is not PointType.STRING)
         )
 
     def _stored(self, value: int) -> int:

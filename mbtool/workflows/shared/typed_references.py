@@ -68,6 +68,11 @@ def typed_references(
         points += own
         if value and len(own) > 1:
             raise UsageError(f"{text!r}: name the first register of the value to write")
+        if "," in value and own[0].type is not PointType.STRING:
+            raise UsageError(
+                f"{text!r}: a type is that of one value; write each value with a reference of its "
+                "own, and decimals with a point: hr40=1.5:f32 hr42=5:f32"
+            )
         last = own[-1].address + own[-1].words - 1
         whole = write_reference(None, own[0].table, own[0].address, last - own[0].address + 1)
         plain.append(whole if len(own) > 1 else f"{own[0].name}{value}")
@@ -189,6 +194,11 @@ def _typed(type_text: str, text: str) -> Point:
         spelled = parse_type(match[1] if match and order else low)
         if spelled is not None and spelled.type is not PointType.STRING and not spelled.is_switch:
             return made(spelled.type, order or spelled.order)
+    if "=" in type_text:
+        type_, _, value = type_text.partition("=")
+        raise UsageError(
+            f"{text!r}: write the value before the type: {text.split(':')[0]}={value}:{type_}"
+        )
     raise UsageError(
         f"{text!r}: {type_text!r} is no type; write u16, i16, u32, i32, u64, i64, f32, f64 (with "
         "ABCD, CDAB, BADC or DCBA behind), bcd16, bcd32, hex or str8"

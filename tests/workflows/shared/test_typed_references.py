@@ -109,3 +109,15 @@ def test_a_wrong_type_is_one_clear_line(text: str, why: str) -> None:
 def test_one_register_has_one_type() -> None:
     with pytest.raises(UsageError, match="has two types"):
         typed_references(["hr10:f32", "hr11:u16"], None)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("hr40=1,5:f32", "a type is that of one value"),
+        ("hr10:f32cdab=23.4", "write the value before the type: hr10=23.4:f32cdab"),
+    ],
+)
+def test_a_typed_write_of_a_wrong_form_is_refused(text: str, why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        typed_references([text], None, writes=True)
