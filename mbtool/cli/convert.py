@@ -81,6 +81,7 @@ def convert(
     Packets of a network stay as they were captured. Frames of serial lines and taps become packets
     that Wireshark shows as Modbus without any setting; converted back, they are the same bytes.
     """
+    import re
     from pathlib import PurePath
 
     from mbtool.cli.options import condition
@@ -96,6 +97,8 @@ def convert(
         raise UsageError("name what to read, then the file to write: convert A.mcap B.pcapng")
     *paths, out = files
     paths = named_files(paths)
+    if (place := re.search(r"\{\w*\}", out)) and place[0] != DEVICE:
+        raise UsageError(f"{out}: {place[0]} stands for nothing; {DEVICE} is the name of the slave")
     if DEVICE in out and (
         PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES or topic_per_point or anonymous
     ):

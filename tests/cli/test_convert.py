@@ -183,3 +183,12 @@ def test_a_name_with_device_is_for_captures_only(mbtool: CommandLine, tmp_path: 
     told = mbtool("convert", PLANT, tmp_path / "{device}.csv")
     assert told.code == exit_codes.USAGE
     assert "{device} goes with .mcap, .pcap, .pcapng" in told.err
+
+
+def test_another_placeholder_than_the_device_is_refused(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    told = mbtool("convert", PLANT, tmp_path / "{unit}.pcap")
+    assert told.code == exit_codes.USAGE
+    assert "{unit} stands for nothing; {device} is the name of the slave" in told.err
+    assert not list(tmp_path.iterdir())
