@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 MAX_SEEN = 10_000
 """A user can give at most this many numbers."""
+AROUND_NS = 60 * SECOND_NS
+"""A time of day up to this long before a recording (ns) is not one of the next day."""
 
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _SEEN = re.compile(
@@ -43,11 +45,14 @@ class SeenTime(NamedTuple):
     """The time since 00:00 UTC, if the user gave a time of day."""
 
     def at_ns(self, first_ns: int) -> int:
-        """The time (UTC ns) in a recording that begins at `first_ns`."""
+        """The time (UTC ns) in a recording that begins at `first_ns`.
+
+        A time of day is the first such one since AROUND_NS before the recording.
+        """
         if self.point is not None:
             return self.point.ns if self.point.is_absolute else first_ns + self.point.ns
-        at_ns = first_ns // DAY_NS * DAY_NS + (self.clock_ns or 0)
-        return at_ns if at_ns >= first_ns - DAY_NS // 2 else at_ns + DAY_NS
+        least_ns = first_ns - AROUND_NS
+        return least_ns + ((self.clock_ns or 0) - least_ns) % DAY_NS
 
 
 class Seen(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core.errors import UsageError
-from mbtool.core.moments import SECOND_NS
+from mbtool.core.moments import DAY_NS, SECOND_NS
 from mbtool.values.sightings import parse_seen, parse_table, wanted_of
 
 FIRST_NS = 1_790_000_000 * SECOND_NS
@@ -27,12 +27,28 @@ def test_name_tolerance_unit_and_time_are_read() -> None:
 
 @pytest.mark.parametrize(
     ("text", "seconds"),
-    [("@14:14", 40), ("@14:13:20.5", 0.5), ("@2026-09-21T14:13:30", 10), ("@00:00:00", 35_200)],
+    [
+        ("@14:14", 40),
+        ("@14:13:20.5", 0.5),
+        ("@2026-09-21T14:13:30", 10),
+        ("@00:00:00", 35_200),
+        ("@14:13", -20),
+        ("@14:12:20", -60),
+        ("@14:12:19", 86_339),
+        ("@09:00", 67_600),
+    ],
 )
 def test_times_are_moments_or_times_of_day(text: str, seconds: float) -> None:
     time = parse_seen(f"5{text}").time
     assert time is not None
     assert time.at_ns(FIRST_NS) - FIRST_NS == seconds * SECOND_NS
+
+
+def test_a_time_of_day_right_before_midnight_is_of_the_day_before() -> None:
+    time = parse_seen("5@23:59:50").time
+    assert time is not None
+    midnight_ns = FIRST_NS // DAY_NS * DAY_NS
+    assert time.at_ns(midnight_ns + 30 * SECOND_NS) == midnight_ns - 10 * SECOND_NS
 
 
 @pytest.mark.parametrize("text", ["", "x", "23,4", "--wrong", "23.4@noon", "5@25:00", "=", "1=2=x"])
