@@ -97,6 +97,7 @@ def test_a_changed_setting_is_told(mbtool: CommandLine) -> None:
         (["nonsense"], "'nonsense': write a number as the display shows it"),
         (["--changed-between", "1s", "0s"], "the second time is not after the first"),
         (["--changed-between", "0s", "500000s"], "--changed-between 500000s: is not in the record"),
+        (["5@0s", "7@500000s"], ", which is not in the recording, "),
         (["5", "--changed-between", "1s", "2s"], "goes without numbers"),
         (["--unknown"], "'--unknown': write a number"),
     ],
