@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core.errors import UsageError
 from mbtool.core.moments import DAY_NS, SECOND_NS
-from mbtool.values.sightings import parse_seen, parse_table, wanted_of
+from mbtool.values.sightings import MAX_SEEN, parse_seen, parse_table, wanted_of
 
 FIRST_NS = 1_790_000_000 * SECOND_NS
 """2026-09-21 14:13:20 UTC."""
@@ -58,6 +58,26 @@ def test_other_texts_are_refused_in_one_line(text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1e9999999",
+        "1e400",
+        "-1e31",
+        "1e-31",
+        "1e99999999999999999999",
+        "9" * 400,
+        f"5+-{'9' * 400}",
+    ],
+)
+def test_numbers_of_no_size_that_a_device_has_are_refused_in_one_line(text: str) -> None:
+    assert parse_seen("1e30").value == 1e30
+    assert parse_seen("1e-30").tolerance == 5e-31
+    with pytest.raises(UsageError, match="at most 1e30") as caught:
+        parse_seen(text)
+    assert len(str(caught.value)) < 200
+
+
 def test_numbers_of_one_name_or_with_times_are_one_display() -> None:
     texts = ["U=230.1@1s", "U=230.4@9s", "23.4@1s", "23.9@9s", "7", "7"]
     wanted = wanted_of([parse_seen(text) for text in texts], FIRST_NS)
@@ -85,3 +105,15 @@ def test_a_file_has_a_time_and_a_number_for_each_display(separator: str) -> None
 def test_an_empty_file_is_told() -> None:
     with pytest.raises(UsageError, match="no numbers"):
         parse_table("# nothing\n", "seen.csv")
+
+
+def test_a_field_without_end_is_told() -> None:
+    with pytest.raises(UsageError, match=r"seen\.csv: row 2: field larger than"):
+        parse_table(f"time,Flow\n1s,{'1' * 131_073}\n", "seen.csv")
+
+
+def test_the_reading_of_too_many_numbers_ends_at_the_first_one_too_many() -> None:
+    text = f"1s{',5' * MAX_SEEN}\n"
+    assert len(parse_table(text, "seen.csv")) == MAX_SEEN
+    with pytest.raises(UsageError, match="more numbers than 10,000"):
+        parse_table(f"{text}2s,not read", "seen.csv")
