@@ -177,7 +177,7 @@ class LiveFinder:
         self.finder = Finder(who)
         self.lock = threading.Lock()
         """The lock that a thread must hold while it uses `finder`."""
-        self.error: BaseException | None = None
+        self.error: Exception | None = None
         """The error that ended the thread; None if there was none."""
         self._sniffer, self._opened = sniffer, opened
         self._stopping = threading.Event()
@@ -219,5 +219,5 @@ class LiveFinder:
                 for record in self._sniffer.records(lambda _: self._stopping.is_set()):
                     with self.lock:
                         self.finder.add((record,))
-        except BaseException as error:  # The main thread raises it again.
+        except Exception as error:  # The main thread raises it again.
             self.error = error
