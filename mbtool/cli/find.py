@@ -173,7 +173,7 @@ def _find_in_files(
         if end_ns <= begin_ns:
             raise UsageError("--changed-between: the second time is not after the first")
         for at_ns, text in zip((begin_ns, end_ns), changed_between, strict=True):
-            run.demand_inside(at_ns, f"--changed-between {text}")
+            run.demand_inside(at_ns, f"--changed-between {text}:")
         changes = finder.changed(begin_ns, end_ns)
         is_found = bool(changes)
         if as_json:

@@ -62,6 +62,7 @@ def keep_places(
     from mbtool.core import UsageError
     from mbtool.core.wording import counted
     from mbtool.devices import load_profile
+    from mbtool.devices.loading import profile_from_toml
     from mbtool.devices.profile_template import name_for
     from mbtool.values.draft import draft_profile
     from mbtool.values.keeping import point_of, with_points
@@ -77,8 +78,11 @@ def keep_places(
     if os.path.exists(keep):
         profile = load_profile(keep)
         text = with_points(Path(keep).read_text(encoding="utf-8"), profile, known)
+        try:
+            profile_from_toml(text, keep)
+        except UsageError as error:
+            raise UsageError(f"{error}; {keep} stays as it was") from error
         write(keep, text, overwrite=True)
-        load_profile(keep)
     else:
         slave = finder.slave_of(next(iter(slaves)))
         text = draft_profile(slave, name_for(keep), file, known).text

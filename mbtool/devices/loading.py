@@ -34,7 +34,7 @@ from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.nesting import why_too_deep
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import description
-from mbtool.devices.toml_file import TomlError, read_toml
+from mbtool.devices.toml_file import TomlError, parse_toml, read_toml
 from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
@@ -66,6 +66,15 @@ def load_profile(name_or_path: str) -> Profile:
     if path.suffix == ".toml" or any(separator in name_or_path for separator in "/\\"):
         return _load_file(path)
     raise UsageError(_unknown_name(name_or_path))
+
+
+def profile_from_toml(text: str, path: str) -> Profile:
+    """Read a profile from the text that is to be written to the file at `path`.
+
+    Raises ProfileError for mistakes, and InputError if a file that it extends cannot be read.
+    """
+    file = Path(path)
+    return _finish(_read(file, data=text.encode()), str(file))
 
 
 def profile_to_json(profile: Profile) -> bytes:
@@ -125,14 +134,17 @@ def _guess(name: str) -> str:
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
-def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+def _read(
+    path: Path, extending: tuple[Path, ...] = (), data: bytes | None = None
+) -> dict[str, Any]:
     """Read the keys of a file, merged with those of all files that it extends.
 
     `extending` has the files that lead to this one by their keys `extends`, the user's file first.
+    `data` is the content of the file; with None it is read.
     Raises InputError if a file cannot be read, and ProfileError for mistakes in it.
     """
     file = str(path)
-    keys = _read_toml(path)
+    keys = _read_toml(path, data)
     extends = keys.pop("extends", None)
     own = _parse_parts(keys, file)
     if extends is None:
@@ -161,8 +173,10 @@ def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
     return _merge(_read(extended, chain), own)
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def _read_toml(path: Path, data: bytes | None) -> dict[str, Any]:
     try:
+        if data is not None:
+            return parse_toml(data, str(path), MAX_FILE_BYTES, "profile")
         return read_toml(path, MAX_FILE_BYTES, "profile")
     except TomlError as error:
         raise ProfileError(str(path), error.place, error.problem) from error

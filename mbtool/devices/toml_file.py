@@ -42,14 +42,22 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str
     too deep, or is not TOML. `what` names the kind of file in messages, such as `profile`; `hint`
     is appended to the parser's message about a line.
     """
-    import tomllib  # Imported here: most commands read no such file.
-
     file = str(path)
     try:
         with path.open("rb") as stream:
             data = stream.read(max_bytes + 1)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {reason_of(error)}") from error
+    return parse_toml(data, file, max_bytes, what, hint)
+
+
+def parse_toml(data: bytes, file: str, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
+    """Read the keys and values of the content of a TOML file, as read_toml() does.
+
+    Raises TomlError, which names the file `file`.
+    """
+    import tomllib  # Imported here: most commands read no such file.
+
     if len(data) > max_bytes:
         raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
     try:

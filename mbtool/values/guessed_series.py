@@ -57,9 +57,10 @@ def with_guesses(
             and first.key.name.startswith(write_reference(None, one.table, 0)[:-1])
         ]
         for judged, own, history in _judged(registers, asked):
-            key, made = _series_of(judged, own, history)
-            joined[own[0].key] = key, made
-            gone.update(one.key for one in own)
+            made = _series_of(judged, own, history)
+            if made is not None:
+                joined[own[0].key] = made
+                gone.update(one.key for one in own)
     if not joined:
         return dict(series)
     found: dict[SeriesKey, ValueSeries] = {}
@@ -143,13 +144,16 @@ def _history(registers: Sequence[_Register]) -> WordHistory:
 
 def _series_of(
     judged: Judged, registers: Sequence[_Register], history: WordHistory
-) -> tuple[SeriesKey, ValueSeries]:
+) -> tuple[SeriesKey, ValueSeries] | None:
+    """The series of a number; None if a row that was not judged holds no number of its type."""
     name = guessed_name(judged)
     first = registers[0].key
     made = ValueSeries(name)
     begin = judged.address - history.first
     columns = [[row[begin + word] for row in history.rows] for word in range(judged.words)]
-    numbers = numbers_in(columns, judged.reading) or ()
+    numbers = numbers_in(columns, judged.reading)
+    if numbers is None:
+        return None
     for ts_ns, number in zip(history.times_ns, numbers, strict=True):
         if math.isfinite(number):
             made.add(ts_ns, _shown(number, judged.reading.type))

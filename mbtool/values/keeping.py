@@ -1,11 +1,14 @@
 """Keeps found places as points of a profile, and writes them into the text of a profile."""
 
-# In the text of a profile, a point is a block: the lines from its comment to the next empty line.
-# A block of a point that has some of the same registers as a new one is left out; all else stays as
-# it is, with its comments.
+# In the text of a profile, a block begins with a line such as [[points]], or with the comment right
+# above it, and ends before the next one; the tables of a point, such as [points.texts], are in its
+# block. A block of a point that has some of the same registers as a new one is left out, except
+# comments that stand alone between empty lines. All else stays as it is.
 
 from __future__ import annotations
 
+import io
+import re
 import tomllib
 from typing import TYPE_CHECKING
 
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 
     from mbtool.devices.model import Profile
     from mbtool.values.finding import FoundPlace, Wanted
+
+_HEADER = re.compile(r"\s*\[(?!\[?\s*points\s*\.).*\]\s*(?:#.*)?")
+"""A line with which a block begins, and no table of a point."""
 
 
 def point_of(wanted: Wanted, place: FoundPlace) -> tuple[Point, str]:
@@ -52,10 +58,36 @@ def with_points(text: str, profile: Profile, known: Sequence[tuple[Point, str]])
         for point in profile.points
         if point.name in names or any((point.table, at) in taken for at in point.all_addresses)
     }
-    blocks = [block for block in text.rstrip("\n").split("\n\n") if _point_name(block) not in gone]
+    kept = [
+        _lone_comments(block) if _point_name(block) in gone else block for block in _blocks(text)
+    ]
     rest = replace(profile, points=[point for point, _ in known])
-    blocks += [dump_point(rest, point, [comment]) for point, comment in known]
-    return "\n\n".join(blocks) + "\n"
+    new = [dump_point(rest, point, [comment]) for point, comment in known]
+    return "\n\n".join(["".join(kept).rstrip("\n"), *new]) + "\n"
+
+
+def _blocks(text: str) -> list[str]:
+    """Cut the text of a profile into its blocks; the first one is what is before them."""
+    blocks: list[list[str]] = [[]]
+    for line in io.StringIO(text):
+        if _HEADER.fullmatch(line.rstrip("\n")):
+            begin = len(blocks[-1])
+            while begin and blocks[-1][begin - 1].startswith("#"):
+                begin -= 1
+            blocks[-1], comment = blocks[-1][:begin], blocks[-1][begin:]
+            blocks.append(comment)
+        blocks[-1].append(line)
+    return ["".join(block) for block in blocks]
+
+
+def _lone_comments(block: str) -> str:
+    """The comments of a block that stand alone between empty lines."""
+    paragraphs = block.split("\n\n")[1:]
+    return "".join(
+        f"{one.strip()}\n\n"
+        for one in paragraphs
+        if one.strip() and all(line.startswith("#") for line in one.strip().splitlines())
+    )
 
 
 def _point_name(block: str) -> str | None:

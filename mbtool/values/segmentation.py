@@ -147,10 +147,3 @@ def divide(length: int, candidates: Sequence[Candidate], shares: Mapping[Kind, f
         parts.append(ValuePart(one, known[id(one)]))
         at = one.at
     return Division(parts[::-1], likelihoods)
-
-
-def _cheapest(
-    costs: Mapping[Kind, float], steps: Mapping[tuple[Kind, Kind], float], kind: Kind
-) -> tuple[float, Kind | None]:
-    """The cheapest way to a value of this kind, and the kind before it."""
-    return min((cost + steps[before, kind], before) for before, cost in costs.items())

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import csv
 import re
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.errors import UsageError
@@ -21,10 +22,14 @@ from mbtool.core.moments import DAY_NS, SECOND_NS, TimePoint, parse_moment
 from mbtool.values.finding import Sighting, Wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 MAX_SEEN = 10_000
 """A user can give at most this many numbers."""
+MAX_POWER = 30
+"""A number has digits from this power of ten down to its inverse."""
+AROUND_NS = 60 * SECOND_NS
+"""A time of day up to this long before a recording (ns) is not one of the next day."""
 
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _SEEN = re.compile(
@@ -43,11 +48,14 @@ class SeenTime(NamedTuple):
     """The time since 00:00 UTC, if the user gave a time of day."""
 
     def at_ns(self, first_ns: int) -> int:
-        """The time (UTC ns) in a recording that begins at `first_ns`."""
+        """The time (UTC ns) in a recording that begins at `first_ns`.
+
+        A time of day is the first such one since AROUND_NS before the recording.
+        """
         if self.point is not None:
             return self.point.ns if self.point.is_absolute else first_ns + self.point.ns
-        at_ns = first_ns // DAY_NS * DAY_NS + (self.clock_ns or 0)
-        return at_ns if at_ns >= first_ns - DAY_NS // 2 else at_ns + DAY_NS
+        least_ns = first_ns - AROUND_NS
+        return least_ns + ((self.clock_ns or 0) - least_ns) % DAY_NS
 
 
 class Seen(NamedTuple):
@@ -66,14 +74,24 @@ def parse_seen(text: str) -> Seen:
     match = _SEEN.fullmatch(rest.strip())
     if match is None:
         raise UsageError(f"{text!r}: {_EXAMPLE}")
-    value = Decimal(match["number"])
-    exponent = value.as_tuple().exponent
-    assert isinstance(exponent, int)
-    step = float(Decimal(1).scaleb(exponent)) / 2
-    tolerance = float(match["tolerance"]) if match["tolerance"] else step
+    value, step = _number(match["number"], text)
+    tolerance, _ = _number(match["tolerance"] or "0", text)
     time = None if match["time"] is None else parse_time(match["time"])
-    return Seen(
-        name.strip(), float(value), max(tolerance, step), (match["unit"] or "").strip(), time
+    return Seen(name.strip(), value, max(tolerance, step / 2), (match["unit"] or "").strip(), time)
+
+
+def _number(number: str, text: str) -> tuple[float, float]:
+    """Return a number and the step of its last digit; `text` is shown in an error."""
+    try:
+        value = Decimal(number)
+        exponent = value.as_tuple().exponent
+        if isinstance(exponent, int) and exponent >= -MAX_POWER and value.adjusted() <= MAX_POWER:
+            return float(value), float(Decimal(1).scaleb(exponent))
+    except InvalidOperation:  # Its exponent has twenty digits.
+        pass
+    raise UsageError(
+        f"{text[:40]!r}: a number has a size of at most 1e{MAX_POWER}, and digits down to "
+        f"1e-{MAX_POWER}"
     )
 
 
@@ -95,20 +113,29 @@ def parse_table(text: str, file: str) -> list[Seen]:
     if not lines:
         raise UsageError(f"{file}: no numbers; a row has a time and a number: 10:15:03,23.4")
     separator = next((one for one in "\t;," if one in lines[0]), ",")
-    rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
-    names = [one.strip() for one in rows[0][1:]]
+    rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    try:
+        return _numbers(rows, file)
+    except csv.Error as error:
+        raise UsageError(f"{file}: row {rows.line_num}: {error}") from error
+
+
+def _numbers(rows: Iterator[list[str]], file: str) -> list[Seen]:
+    first = next(rows)
+    names = [one.strip() for one in first[1:]]
     if any(_SEEN.fullmatch(name) for name in names):
         names = [f"column {at}" if at > 1 else "value" for at in range(1, len(names) + 1)]
-    else:
-        del rows[0]
-    found = []
+        rows = chain([first], rows)
+    found: list[Seen] = []
     for row in rows:
         for name, number in zip(names, row[1:], strict=False):
             if number.strip():
+                if len(found) == MAX_SEEN:
+                    raise UsageError(
+                        f"{file}: more numbers than {MAX_SEEN:,}, the most that can be looked for"
+                    )
                 seen = parse_seen(number)
                 found.append(seen._replace(name=name, time=parse_time(row[0])))
-    if len(found) > MAX_SEEN:
-        raise UsageError(f"{file}: {len(found):,} numbers; at most {MAX_SEEN:,} can be looked for")
     return found
 
 

@@ -2,12 +2,14 @@
 
 # The columns are those of the first response to each request. A request that was not answered in
 # its round leaves its cells empty. Until every request has had a response, rows are held back, at
-# most MAX_HELD of them: then requests that never had one get no columns.
+# most MAX_HELD of them: then requests that never had one get no columns. While no request has had
+# one yet, there is nothing to write, and the oldest rows are dropped.
 
 from __future__ import annotations
 
 import csv
 import io
+from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import clock_time, day
@@ -26,7 +28,7 @@ class PolledValues:
     def __init__(self, requests: Sequence[bytes]) -> None:
         self._requests = list(dict.fromkeys(requests))
         self._columns: dict[bytes, list[str]] = {}
-        self._held: list[tuple[int, Mapping[bytes, Sequence[PointValue]]]] = []
+        self._held: deque[tuple[int, Mapping[bytes, Sequence[PointValue]]]] = deque(maxlen=MAX_HELD)
         self._is_begun = False
 
     def lines(self, at_ns: int, values: Mapping[bytes, Sequence[PointValue]]) -> str:

@@ -13,6 +13,7 @@ from bisect import insort
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError, WireEvent
+from mbtool.core.wording import moment
 from mbtool.devices.observed_slave import MAX_SAMPLED
 from mbtool.ports.clock import now_ns
 from mbtool.values.finding import Sighting, Wanted, WordsOfSlave, find, find_changed
@@ -147,12 +148,22 @@ class FindRun:
             self.error = error
 
     def wanted(self, seen: Sequence[Seen]) -> list[Wanted]:
-        return wanted_of(seen, self.finder.first_ns)
+        """Return the displays; raise UsageError if a time is outside the recording."""
+        finder = self.finder
+        if finder.last_ns:
+            for one in seen:
+                if one.time is not None:
+                    at_ns = one.time.at_ns(finder.first_ns)
+                    self.demand_inside(at_ns, f"{one.value:g} was seen at {moment(at_ns)}, which")
+        return wanted_of(seen, finder.first_ns)
 
     def demand_inside(self, at_ns: int, text: str) -> None:
-        """Raise UsageError if a time is outside the recording."""
-        if not self.finder.first_ns <= at_ns <= self.finder.last_ns:
-            raise UsageError(f"{text}: is not in the recording")
+        """Raise UsageError, which begins with `text`, if a time is outside the recording."""
+        first_ns, last_ns = self.finder.first_ns, self.finder.last_ns
+        if not first_ns <= at_ns <= last_ns:
+            raise UsageError(
+                f"{text} is not in the recording, {moment(first_ns)} to {moment(last_ns)} UTC"
+            )
 
 
 class LiveFinder:
@@ -166,7 +177,7 @@ class LiveFinder:
         self.finder = Finder(who)
         self.lock = threading.Lock()
         """The lock that a thread must hold while it uses `finder`."""
-        self.error: BaseException | None = None
+        self.error: Exception | None = None
         """The error that ended the thread; None if there was none."""
         self._sniffer, self._opened = sniffer, opened
         self._stopping = threading.Event()
@@ -208,5 +219,5 @@ class LiveFinder:
                 for record in self._sniffer.records(lambda _: self._stopping.is_set()):
                     with self.lock:
                         self.finder.add((record,))
-        except BaseException as error:  # The main thread raises it again.
+        except Exception as error:  # The main thread raises it again.
             self.error = error

@@ -61,6 +61,23 @@ def test_the_best_place_is_kept_in_a_new_profile_and_in_one_that_is_there(
     assert "# A remark of the user." in file.read_text()
 
 
+def test_a_profile_stays_as_it_was_if_a_point_cannot_be_added_to_its_text(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    file = tmp_path / "device.toml"
+    text = (
+        'name = "pump"\ntitle = "Pump"\nvendor = "us"\ntransports = ["rtu"]\nsource = "us"\n'
+        "areas = []\nfunctions = { 03 = {} }\n"
+    )
+    file.write_text(text)
+    load_profile(str(file))
+    told = mbtool("find", LINE, "Speed=466.0rpm", "--keep", str(file))
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith(f"mbtool: {file}: ")
+    assert told.err.endswith(f"; {file} stays as it was\n")
+    assert file.read_text() == text
+
+
 def test_numbers_come_from_a_file(mbtool: CommandLine, tmp_path: Path) -> None:
     file = tmp_path / "seen.csv"
     file.write_text("time,Speed\n0s,10.0\n")
@@ -80,6 +97,7 @@ def test_a_changed_setting_is_told(mbtool: CommandLine) -> None:
         (["nonsense"], "'nonsense': write a number as the display shows it"),
         (["--changed-between", "1s", "0s"], "the second time is not after the first"),
         (["--changed-between", "0s", "500000s"], "--changed-between 500000s: is not in the record"),
+        (["5@0s", "7@500000s"], ", which is not in the recording, "),
         (["5", "--changed-between", "1s", "2s"], "goes without numbers"),
         (["--unknown"], "'--unknown': write a number"),
     ],

@@ -72,3 +72,13 @@ def test_a_request_for_one_of_the_registers_keeps_them_apart() -> None:
         RequestedSpan("line", 5, Table.HOLDING_REGISTERS, range(at, at + 1)) for at in (10, 11)
     ]
     assert len(with_guesses(series_of(rows), asked)) == 2
+
+
+def test_registers_stay_where_a_row_that_is_not_judged_holds_no_digits() -> None:
+    digits = [f"{12_345_678 + 41 * at:08d}" for at in range(400)]
+    rows = [[int(one[:4], 16), int(one[4:], 16)] for one in digits]
+    (joined,) = with_guesses(series_of(rows))
+    assert joined.name == "holding 10..11 bcd32 ABCD ?"
+    rows[202][1] = 0xABCD  # Each third of 400 rows is judged.
+    series = series_of(rows)
+    assert with_guesses(series) == series

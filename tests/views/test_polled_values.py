@@ -30,6 +30,16 @@ def test_rows_wait_for_the_first_answer_of_every_request_but_not_for_ever() -> N
     assert len(lines) == 1 + MAX_HELD
 
 
+def test_only_the_newest_rows_wait_for_the_first_answer_of_all() -> None:
+    table = PolledValues([b"a"])
+    for at in range(3 * MAX_HELD):
+        assert table.lines(AT_NS + at * 1_000_000_000, {}) == ""
+    answered_ns = AT_NS + 3 * MAX_HELD * 1_000_000_000
+    lines = table.lines(answered_ns, {b"a": [point("HR7", 3)]}).splitlines()
+    assert len(lines) == 1 + MAX_HELD
+    assert lines[-1] == "2026-03-17 09:14:33.014,3"
+
+
 def test_what_is_held_back_is_written_at_the_end() -> None:
     table = PolledValues([b"a", b"b"])
     assert table.lines(AT_NS, {b"a": [point("HR7", 3)]}) == ""

@@ -102,4 +102,8 @@ def test_a_time_outside_the_recording_is_refused() -> None:
     run = FindRun(["captures/ft1a-touch-line.mcap"], ReadingOptions(), None)
     run.read([])
     with pytest.raises(UsageError, match="is not in the recording"):
-        run.demand_inside(START_NS * 2, "--changed-between x")
+        run.demand_inside(START_NS * 2, "--changed-between x:")
+    for text in ("5@500000s", "5@1999-01-01"):
+        with pytest.raises(UsageError, match=r"^5 was seen at .*, which is not in the recording, "):
+            run.wanted([parse_seen("6"), parse_seen(text)])
+    assert len(run.wanted([parse_seen("6"), parse_seen("5@0s")])) == 2
