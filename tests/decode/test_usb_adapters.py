@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import LineSettings, Packet, SerialFormat, WireEvent
 from mbtool.decode.decoder import Decoder
-from mbtool.decode.usb_adapters import UsbAdapters
+from mbtool.decode.usb_adapters import MAX_DEVICES, UsbAdapters
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.modbus import ascii_adu, rtu_adu
 from mbtool.packets.usb import USB_LINK_TYPES, USB_LINUX, USB_LINUX_MMAPPED, USBPCAP
@@ -168,6 +168,22 @@ def test_the_ports_of_one_adapter_are_lines_of_their_own() -> None:
     ]
 
 
+def test_each_port_of_an_adapter_has_settings_and_times_of_its_own() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    for port, divisor in ((1, 0x4138), (2, 0x809C)):
+        capture.control(port, setup(0x40, 3, divisor, port))  # 9600 and 19200
+        capture.control(port, setup(0x40, 4, 0x0208 if port == 1 else 0x0108, port))
+    capture.sent(100, bytes(200))
+    capture.sent(101, _read(1)[0], 4)
+    adapters = UsbAdapters()
+    pieces = [piece for packet in capture.packets for piece in adapters.feed(packet)]
+    assert [one.format for one in adapters.lines()] == [
+        SerialFormat(9600, 8, "E", 1),
+        SerialFormat(19200, 8, "O", 1),
+    ]
+    assert pieces[1].ts_ns < pieces[0].ts_ns  # The first port still sends for 0.2 s.
+
+
 def test_a_machine_that_only_listens_hears_both_sides() -> None:
     capture = UsbCapture(USB_LINUX_MMAPPED)
     _ftdi(capture)
@@ -206,6 +222,22 @@ def test_settings_that_change_hold_from_then_on() -> None:
     found, _, decoder = _decoded(capture.packets)
     assert decoder.line_of(LINK).format.baud == 57600
     assert [str(one.outcome) for one in found] == ["ok"] * 2
+
+
+def test_the_lines_of_adapters_that_are_gone_are_forgotten() -> None:
+    decoder = Decoder(Namer(Assignments()))
+    adapters = UsbAdapters()
+    for device in range(1, MAX_DEVICES + 11):
+        capture = UsbCapture(USB_LINUX_MMAPPED, device=device)
+        _cp210x(capture)
+        capture.ask(100, *_read(1))
+        for packet in capture.packets:
+            adapters.feed(packet)
+            decoder.feed(packet)
+    kept = [f"usb1.{device}" for device in range(11, MAX_DEVICES + 11)]
+    assert [one.name for one in adapters.lines()] == kept
+    assert decoder.line_of("usb1.1").format == decoder.line_of("none").format
+    assert decoder.line_of("usb1.11").format == SerialFormat(9600, 8, "E", 1)
 
 
 def test_other_devices_on_the_bus_are_passed_over() -> None:
