@@ -40,6 +40,7 @@ from mbtool.core import (
     StreamPlace,
     WireEvent,
 )
+from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.packets.usb import BULK, read_transfer
 
@@ -98,6 +99,8 @@ class _Port:
     data_bits: int = 8
     parity: str = "N"
     stop_bits: int = 1
+    last_ns: int = 0
+    """The time of its last transfer with bytes."""
     sent_ns: int = 0
     """The time at which the last byte that the machine has sent left the adapter."""
     is_ascii: bool | None = None
@@ -231,6 +234,9 @@ class UsbAdapters:
             line = LineSettings(format_, port.is_ascii).on(link)
             port.has_changed = port.line is not None and port.line != line
             port.line = line
+        if packet.ts_ns < port.last_ns - MAX_BACK_NS:
+            port.sent_ns = 0  # The clock was set back.
+        port.last_ns = packet.ts_ns
         ts_ns = max(packet.ts_ns, port.sent_ns)
         if not transfer.is_in:
             ts_ns += 0 if format_ is None else len(data) * format_.character_ns

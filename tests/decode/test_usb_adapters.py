@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -238,6 +239,27 @@ def test_the_lines_of_adapters_that_are_gone_are_forgotten() -> None:
     assert [one.name for one in adapters.lines()] == kept
     assert decoder.line_of("usb1.1").format == decoder.line_of("none").format
     assert decoder.line_of("usb1.11").format == SerialFormat(9600, 8, "E", 1)
+
+
+def test_times_go_on_after_the_clock_was_set_back() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cp210x(capture)
+    for ms in (4_000_000, 400_000, 400_100):
+        capture.ask(ms, *_read(1))
+    adapters = UsbAdapters()
+    pieces = [piece for packet in capture.packets for piece in adapters.feed(packet)]
+    assert [one.ts_ns // 1_000_000_000 for one in pieces] == [4000, 4000, 400, 400, 400, 400]
+
+
+def test_bytes_that_wait_behind_a_long_transfer_are_sent_after_it() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cp210x(capture)
+    for ms in (100, 101, 102):
+        capture.sent(ms, _read(1)[0] * 10)
+    adapters = UsbAdapters()
+    ends = [piece.ts_ns for packet in capture.packets for piece in adapters.feed(packet)]
+    took_ns = 80 * SerialFormat(9600, 8, "E", 1).character_ns
+    assert [later - one for one, later in pairwise(ends)] == [took_ns, took_ns]
 
 
 def test_other_devices_on_the_bus_are_passed_over() -> None:
