@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 MAX_DEVICES = 64
 MAX_SETUPS = 64
 
-_ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}")
+_ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}[0-9A-Fa-f:\r\n]*")
 _USUAL_BAUDS = (
     300, 600, 1200, 1800, 2400, 4800, 7200, 9600, 14400, 19200, 28800, 38400, 57600, 76800, 115200,
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
@@ -104,7 +104,7 @@ class _Port:
     sent_ns: int = 0
     """The time at which the last byte that the machine has sent left the adapter."""
     is_ascii: bool | None = None
-    """None before the first bytes of the line."""
+    """None until bytes show it: the beginning of an ASCII frame, or a whole RTU frame."""
     line: SerialLink | None = None
     """The line as its last bytes showed it; None if its settings are unknown."""
     has_changed: bool = False
@@ -227,11 +227,11 @@ class UsbAdapters:
     def _chunk(
         self, data: bytes, transfer: UsbTransfer, port: _Port, link: str, packet: Packet
     ) -> Chunk:
-        if port.is_ascii is None:
-            port.is_ascii = _ASCII_START.match(data) is not None
         format_ = port.format()
+        if port.is_ascii is None:
+            port.is_ascii = _is_ascii(data)
         if format_ is not None:
-            line = LineSettings(format_, port.is_ascii).on(link)
+            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).on(link)
             port.has_changed = port.line is not None and port.line != line
             port.line = line
         if packet.ts_ns < port.last_ns - MAX_BACK_NS:
@@ -253,9 +253,15 @@ def _maker_by_data(data: bytes, *, is_in: bool) -> Maker | None:
     """Return the kind of an adapter that was set up before the capture; None if it may be none."""
     if is_in and len(data) >= 2 and _is_idle_status(data):
         return Maker.FTDI
+    return None if _is_ascii(data) is None else Maker.OTHER
+
+
+def _is_ascii(data: bytes) -> bool | None:
+    """True for the beginning of an ASCII frame, False for a whole RTU frame, else None."""
+    if _ASCII_START.fullmatch(data):
+        return True
     directions = (Direction.REQUEST, Direction.RESPONSE)
-    is_rtu = any(begins_with_frame(data, one) for one in directions)
-    return Maker.OTHER if is_rtu or _ASCII_START.match(data) else None
+    return False if any(begins_with_frame(data, one) for one in directions) else None
 
 
 def _is_idle_status(data: bytes) -> bool:

@@ -206,6 +206,38 @@ def test_an_ascii_line_is_known_by_its_first_bytes() -> None:
     assert [(str(one.transport), str(one.outcome)) for one in found] == [("ascii", "ok")] * 3
 
 
+@pytest.mark.parametrize("begun", [b"02C5\r\n", b"\xff"])
+def test_an_ascii_line_whose_first_bytes_are_no_beginning_is_known_by_later_ones(
+    begun: bytes,
+) -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cdc(capture)
+    capture.received(50, begun)
+    for number in range(3):
+        request = ascii_adu(1, bytes((3, 0, number, 0, 1)))
+        capture.ask(100 + 100 * number, request, ascii_adu(1, bytes((3, 2, 0, number))))
+    found, _, decoder = _decoded(capture.packets)
+    assert [(str(one.transport), str(one.outcome)) for one in found] == [("ascii", "ok")] * 3
+    assert decoder.line_of(LINK).ascii
+
+
+def test_a_line_with_7_data_bits_is_ascii() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    capture.control(1, setup(0x21, 0x20, length=7), (9600).to_bytes(4, "little") + b"\0\2\7")
+    capture.received(50, b"C5\r\n")
+    _, _, decoder = _decoded(capture.packets)
+    assert decoder.line_of(LINK).ascii
+
+
+def test_a_colon_in_a_part_of_an_rtu_frame_makes_no_ascii_line() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cdc(capture)
+    capture.received(50, b":12\x80")
+    capture.ask(100, *_read(1))
+    _, _, decoder = _decoded(capture.packets)
+    assert not decoder.line_of(LINK).ascii
+
+
 def test_settings_that_the_user_gives_override_those_of_the_adapter() -> None:
     capture = UsbCapture(USB_LINUX_MMAPPED)
     _cp210x(capture)
