@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import os
+import re
 import ssl
 import threading
 from collections import OrderedDict
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 MAX_WAITING = 65_536
 PASSWORD = "MBTOOL_MQTT_PASSWORD"
 """The environment variable with the password, which a command line would show to others."""
+_USER = re.compile(r"^(\w*://)?.*@", re.DOTALL)
+"""The user and the password in a URL, which no error repeats, also not one of a wrong URL."""
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _CONFIRM_S = 10.0
 """If the broker has not confirmed a message after so long (s), it is published again."""
@@ -56,20 +59,21 @@ class Broker:
 
         Raises UsageError for a text of another form.
         """
+        shown = _USER.sub(r"\1", text)
         wanted = "mqtt://HOST[:PORT][/PREFIX], or mqtts:// for TLS"
         try:
             url = urlsplit(text)
             port = url.port
         except ValueError:
-            raise UsageError(f"--mqtt {text}: write {wanted}") from None
-        if url.scheme not in _PORTS or not url.hostname:
-            raise UsageError(f"--mqtt {text}: write {wanted}")
+            raise UsageError(f"--mqtt {shown}: write {wanted}") from None
+        if url.scheme not in _PORTS or not url.hostname or url.fragment:
+            raise UsageError(f"--mqtt {shown}: write {wanted}")
         prefix = unquote(url.path.strip("/")) or "mbtool"
         if "#" in prefix or "+" in prefix:
-            raise UsageError(f"--mqtt {text}: a topic has no # and no +")
+            raise UsageError(f"--mqtt {shown}: a topic has no # and no +")
         query = parse_qs(url.query)
         if set(query) - {"ca"} or (query and url.scheme != "mqtts"):
-            raise UsageError(f"--mqtt {text}: only ?ca=FILE may follow, with mqtts://")
+            raise UsageError(f"--mqtt {shown}: only ?ca=FILE may follow, with mqtts://")
         return cls(
             url.hostname,
             port or _PORTS[url.scheme],

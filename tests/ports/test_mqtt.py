@@ -24,6 +24,19 @@ def test_an_address_names_host_port_topic_user_and_tls(text: str, broker: Broker
 
 @pytest.mark.parametrize(
     "text",
+    ["http://me:secret@plc", "mqtt://me:secret@plc:x", "mqtt://me:secret@plc/a%23",
+     "mqtt://me:secret@plc?ca=x", "mqtt://me:se/secret@plc:x", "me:secret@plc",
+     "mqtt:/me:secret@plc", "mqtt:me:secret@plc", "mqtt://me:#secret@plc"],
+)  # fmt: skip
+def test_no_error_repeats_the_password(text: str) -> None:
+    with pytest.raises(UsageError) as told:
+        Broker.parse(text)
+    assert "secret" not in str(told.value)
+    assert "plc" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "text",
     ["plc", "http://plc", "mqtt://", "mqtt://plc:x", "mqtt://plc/a%23", "mqtt://plc?ca=x", "mqtts://plc?key=x"],
 )  # fmt: skip
 def test_an_address_of_another_form_is_one_clear_line(text: str) -> None:
