@@ -142,8 +142,6 @@ class Decoder:
         """Endpoints already reported as not Modbus, with `any_port`: the slave's, or both if the
         capture does not show who opened the connection."""
         self._usb = UsbAdapters()
-        self._usb_lines: dict[str, SerialLink] = {}
-        """The links of USB adapters whose settings the capture has shown."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
@@ -163,12 +161,8 @@ class Decoder:
     def _usb_packet(self, packet: Packet) -> list[Record]:
         records: list[Record] = []
         for piece in self._usb.feed(packet):
-            before = self._usb_lines.get(piece.link)
-            line = self._usb.line(piece.link)
-            if line is not None and before is not None and line != before:
-                records += self.end_line(piece.link)  # Its settings were changed.
-            if line is not None:
-                self._usb_lines[piece.link] = line
+            if isinstance(piece, Chunk) and self._usb.has_changed(piece.link):
+                records += self.end_line(piece.link)
             self._last_ns = max(self._last_ns, piece.ts_ns)
             if isinstance(piece, Chunk):
                 records += self._chunk(piece)
@@ -189,7 +183,7 @@ class Decoder:
         """Return a serial link with its ports and its settings as the user gave them."""
         known = self._lines.get(link)
         if known is None and not self._is_line_given:
-            known = self._usb_lines.get(link)
+            known = self._usb.line(link)
         return known or self._line.on(link)
 
     def begin_line(self, line: SerialLink) -> None:

@@ -17,14 +17,14 @@
 # the adapter waits (FTDI: up to 16 ms). Bytes that were sent begin when their transfer was
 # submitted, and end as much later as they take at the line's baud rate.
 #
-# Memory: a few numbers for each device (MAX_DEVICES) and the setups of control transfers that are
-# underway (MAX_SETUPS).
+# Memory: a few numbers for each port of each device, and the setups of control transfers that are
+# underway (MAX_SETUPS). Above MAX_DEVICES, the device that was silent longest is forgotten.
 
 from __future__ import annotations
 
 import re
 import struct
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import TYPE_CHECKING
@@ -36,20 +36,22 @@ from mbtool.core import (
     LineSettings,
     Origin,
     SerialFormat,
+    SerialLink,
     StreamPlace,
     WireEvent,
 )
+from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.packets.usb import BULK, read_transfer
 
 if TYPE_CHECKING:
-    from mbtool.core import Packet, SerialLink
+    from mbtool.core import Packet
     from mbtool.packets.usb import UsbTransfer
 
 MAX_DEVICES = 64
 MAX_SETUPS = 64
 
-_ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}")
+_ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}[0-9A-Fa-f:\r\n]*")
 _USUAL_BAUDS = (
     300, 600, 1200, 1800, 2400, 4800, 7200, 9600, 14400, 19200, 28800, 38400, 57600, 76800, 115200,
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
@@ -90,20 +92,23 @@ _PACKET_SIZES = (64, 512)
 
 
 @dataclass(slots=True)
-class _Device:
-    """What is known of a device on the bus."""
+class _Port:
+    """What is known of a port of an adapter, at which one line is."""
 
-    maker: Maker | None = None
-    """None as long as nothing shows that it is an adapter."""
     baud: int | None = None
     data_bits: int = 8
     parity: str = "N"
     stop_bits: int = 1
-    packet_size: int | None = None
+    last_ns: int = 0
+    """The time of its last transfer with bytes."""
     sent_ns: int = 0
     """The time at which the last byte that the machine has sent left the adapter."""
     is_ascii: bool | None = None
-    """None before the first bytes of the line."""
+    """None until bytes show it: the beginning of an ASCII frame, or a whole RTU frame."""
+    line: SerialLink | None = None
+    """The line as its last bytes showed it; None if its settings are unknown."""
+    has_changed: bool = False
+    """True if the last bytes came with other settings than those before."""
     errors: set[int] = field(default_factory=set)
     """The bits of errors that FTDI's status had last."""
 
@@ -117,26 +122,48 @@ class _Device:
             return None
 
 
+@dataclass(slots=True)
+class _Device:
+    """What is known of a device on the bus."""
+
+    maker: Maker | None = None
+    """None as long as nothing shows that it is an adapter."""
+    packet_size: int | None = None
+    ports: defaultdict[int, _Port] = field(default_factory=lambda: defaultdict(_Port))
+    """The ports by their number, from 0. Only FTDI's adapters have several."""
+
+
 class UsbAdapters:
     """Takes the packets of a USB capture; returns the bytes of serial lines, and errors."""
 
     def __init__(self) -> None:
         self._devices: OrderedDict[str, _Device] = OrderedDict()
         self._setups: OrderedDict[tuple[int, int], bytes] = OrderedDict()
-        self._lines: dict[str, LineSettings] = {}
 
     def line(self, link: str) -> SerialLink | None:
         """The link of an adapter, with the settings that it was given; None if they are unknown."""
-        settings = self._lines.get(link)
-        return None if settings is None else settings.on(link)
+        port = self._port(link)
+        return None if port is None else port.line
 
     def settings(self, link: str) -> LineSettings | None:
         """The settings that an adapter was given; None if they are unknown."""
-        return self._lines.get(link)
+        line = self.line(link)
+        return None if line is None else LineSettings(line.format, line.ascii)
+
+    def has_changed(self, link: str) -> bool:
+        """True if the last bytes of a link came with other settings than those before."""
+        port = self._port(link)
+        return port is not None and port.has_changed
 
     def lines(self) -> list[SerialLink]:
         """The links of all adapters whose settings are known."""
-        return [settings.on(link) for link, settings in self._lines.items()]
+        ports = (port for device in self._devices.values() for port in device.ports.values())
+        return [port.line for port in ports if port.line is not None]
+
+    def _port(self, link: str) -> _Port | None:
+        name, _, number = link.partition("-")
+        device = self._devices.get(name)
+        return None if device is None else device.ports.get(int(number or 1) - 1)
 
     def feed(self, packet: Packet) -> list[Chunk | WireEvent]:
         """Take a packet. Never raises, whatever it contains."""
@@ -183,32 +210,37 @@ class UsbAdapters:
             if device.maker is None:
                 return []
         pieces: list[Chunk | WireEvent] = []
-        link = name
-        if device.maker is Maker.FTDI:
-            port = (transfer.endpoint - 1) // 2
-            link = f"{name}-{port + 1}" if port > 0 else name
-            if transfer.is_in:
-                data, errors = _without_status(data, device)
-                pieces += (_event(packet, link, EventKind.LINE_ERROR, one) for one in errors)
+        is_ftdi = device.maker is Maker.FTDI
+        number = max((transfer.endpoint - 1) // 2, 0) if is_ftdi else 0
+        port = device.ports[number]
+        link = f"{name}-{number + 1}" if number else name
+        if is_ftdi and transfer.is_in:
+            data, errors = _without_status(data, port, device.packet_size)
+            pieces += (_event(packet, link, EventKind.LINE_ERROR, one) for one in errors)
         if data:
-            pieces.append(self._chunk(data, transfer, device, link, packet))
+            pieces.append(self._chunk(data, transfer, port, link, packet))
         if transfer.missing:
             text = f"a transfer without its last {transfer.missing} bytes; capture longer ones"
             pieces.append(_event(packet, link, EventKind.CUT, text, transfer.missing))
         return pieces
 
     def _chunk(
-        self, data: bytes, transfer: UsbTransfer, device: _Device, link: str, packet: Packet
+        self, data: bytes, transfer: UsbTransfer, port: _Port, link: str, packet: Packet
     ) -> Chunk:
-        if device.is_ascii is None:
-            device.is_ascii = _ASCII_START.match(data) is not None
-        format_ = device.format()
+        format_ = port.format()
+        if port.is_ascii is None:
+            port.is_ascii = _is_ascii(data)
         if format_ is not None:
-            self._lines[link] = LineSettings(format_, device.is_ascii)
-        ts_ns = max(packet.ts_ns, device.sent_ns)
+            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).on(link)
+            port.has_changed = port.line is not None and port.line != line
+            port.line = line
+        if packet.ts_ns < port.last_ns - MAX_BACK_NS:
+            port.sent_ns = 0  # The clock was set back.
+        port.last_ns = packet.ts_ns
+        ts_ns = max(packet.ts_ns, port.sent_ns)
         if not transfer.is_in:
             ts_ns += 0 if format_ is None else len(data) * format_.character_ns
-            device.sent_ns = ts_ns
+            port.sent_ns = ts_ns
         place = StreamPlace(0, None, Origin(packet.file, packet.number))
         return Chunk(ts_ns=ts_ns, link=link, data=data, place=place)
 
@@ -221,18 +253,24 @@ def _maker_by_data(data: bytes, *, is_in: bool) -> Maker | None:
     """Return the kind of an adapter that was set up before the capture; None if it may be none."""
     if is_in and len(data) >= 2 and _is_idle_status(data):
         return Maker.FTDI
+    return None if _is_ascii(data) is None else Maker.OTHER
+
+
+def _is_ascii(data: bytes) -> bool | None:
+    """True for the beginning of an ASCII frame, False for a whole RTU frame, else None."""
+    if _ASCII_START.fullmatch(data):
+        return True
     directions = (Direction.REQUEST, Direction.RESPONSE)
-    is_rtu = any(begins_with_frame(data, one) for one in directions)
-    return Maker.OTHER if is_rtu or _ASCII_START.match(data) else None
+    return False if any(begins_with_frame(data, one) for one in directions) else None
 
 
 def _is_idle_status(data: bytes) -> bool:
     return data[0] & 0x0F == _FTDI_STATUS and data[1] in _FTDI_IDLE
 
 
-def _without_status(data: bytes, device: _Device) -> tuple[bytes, list[str]]:
+def _without_status(data: bytes, port: _Port, size: int | None) -> tuple[bytes, list[str]]:
     """Take FTDI's status bytes off; return the other bytes, and the errors that begin here."""
-    size = device.packet_size or _packet_size(data)
+    size = size or _packet_size(data)
     parts = [data[at : at + size] for at in range(0, len(data), size)]
     told: list[str] = []
     for part in parts:
@@ -240,9 +278,9 @@ def _without_status(data: bytes, device: _Device) -> tuple[bytes, list[str]]:
             continue
         for bit, text in _FTDI_ERRORS:
             if not part[1] & bit:
-                device.errors.discard(bit)
-            elif bit not in device.errors:
-                device.errors.add(bit)
+                port.errors.discard(bit)
+            elif bit not in port.errors:
+                port.errors.add(bit)
                 told.append(text)
     return b"".join(part[2:] for part in parts), told
 
@@ -273,10 +311,11 @@ def _cdc_settings(device: _Device, request: _Request, data: bytes) -> bool:
         return False
     baud, stop, parity, bits = struct.unpack_from("<IBBB", data)
     device.maker = device.maker or Maker.OTHER
+    port = device.ports[0]
     if 0 < baud < 1 << 31:  # PL2303 can be given a divisor instead, which has the highest bit.
-        device.baud = _usual(baud)
-    device.stop_bits, device.data_bits = (2 if stop == 2 else 1), bits
-    device.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
+        port.baud = _usual(baud)
+    port.stop_bits, port.data_bits = (2 if stop == 2 else 1), bits
+    port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
     return True
 
 
@@ -285,16 +324,21 @@ def _ftdi_settings(device: _Device, request: _Request, _: bytes) -> bool:
     kind, code, value, index = request
     if kind != 0x40 or device.maker is Maker.OTHER:
         return False
+    # An adapter with several ports has their number, from 1, in the low byte of the index; others
+    # have 0 there, or a bit of the divisor.
+    number = max((index & 0xFF) - 1, 0)
     if code == 0x03:
         device.maker = Maker.FTDI
-        device.baud = _ftdi_baud(value, index)
+        port = device.ports[number]
+        port.baud = _ftdi_baud(value, index)
         return True
     if code == 0x04:
         device.maker = Maker.FTDI
-        device.data_bits = value & 0xFF
+        port = device.ports[number]
+        port.data_bits = value & 0xFF
         parity, stop = value >> 8 & 7, value >> 11 & 7
-        device.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
-        device.stop_bits = 2 if stop == 2 else 1
+        port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
+        port.stop_bits = 2 if stop == 2 else 1
         return True
     return False
 
@@ -322,14 +366,15 @@ def _ch34x_settings(device: _Device, request: _Request, _: bytes) -> bool:
     if code == 0x9A and value not in (0x1312, 0x2518):
         return False
     device.maker = Maker.OTHER
+    port = device.ports[0]
     if value == 0x2518 or (code == 0xA1 and value):
         control = index if code == 0x9A else value >> 8
-        device.data_bits = 5 + (control & 3)
-        device.stop_bits = 2 if control & 4 else 1
-        device.parity = ("E" if control & 0x10 else "O") if control & 8 else "N"
+        port.data_bits = 5 + (control & 3)
+        port.stop_bits = 2 if control & 4 else 1
+        port.parity = ("E" if control & 0x10 else "O") if control & 8 else "N"
     if value == 0x1312 or (code == 0xA1 and index):
         shift = 12 - 3 * (index & 3) - (index >> 2 & 1)
-        device.baud = _usual(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
+        port.baud = _usual(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
     return True
 
 
@@ -338,14 +383,15 @@ def _cp210x_settings(device: _Device, request: _Request, data: bytes) -> bool:
     kind, code, value, _ = request
     if kind != 0x41 or code not in (0x1E, 0x01, 0x03):
         return False
+    port = device.ports[0]
     if code == 0x1E and len(data) >= 4:
-        device.baud = _usual(int.from_bytes(data[:4], "little"))
+        port.baud = _usual(int.from_bytes(data[:4], "little"))
     elif code == 0x01 and value:
-        device.baud = _usual(3_686_400 / value)
+        port.baud = _usual(3_686_400 / value)
     elif code == 0x03:
         parity = value >> 4 & 0xF
-        device.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
-        device.data_bits, device.stop_bits = value >> 8 & 0xF, 2 if value & 0xF == 2 else 1
+        port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
+        port.data_bits, port.stop_bits = value >> 8 & 0xF, 2 if value & 0xF == 2 else 1
     device.maker = Maker.OTHER
     return True
 

@@ -288,8 +288,12 @@ class TcpMaster(MasterLink):
         such ids: at most one request is pending, with the key 0."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
+        self._is_refused = False
+        """True if nobody listens at the slave's port for UDP, which was told once, until a datagram
+        comes from there."""
         self.ended: ConnectionEnding | None = None
-        """The way in which the slave ended the last connection, FIN or RST; None if it did not."""
+        """The way in which the slave ended the last connection, FIN or RST; None if it did not, and
+        always for UDP."""
         self.socket: socket.socket | None = self._connect(connect_s)
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -310,8 +314,11 @@ class TcpMaster(MasterLink):
             del self._pending[next(iter(self._pending))]
         try:
             self.socket.sendall(adu)
-        except OSError:
-            self.ended = ConnectionEnding.RESET
+        except OSError as error:
+            if self._link.is_udp:
+                self._tell_failed(error)
+            else:
+                self.ended = ConnectionEnding.RESET
             self._lose()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
@@ -326,15 +333,15 @@ class TcpMaster(MasterLink):
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
-            why = failure(error, "slave")
-            if self._link.is_udp and isinstance(error, ConnectionRefusedError):
-                why = "its host answers that nobody listens at this port"
-            if why is not None:
-                self._on_remark(f"mbtool: {self._link}: {why}")
+            self._tell_failed(error)
+            if self._link.is_udp:
+                return ()
             data, arrived_ns = b"", 0
             self.ended = ConnectionEnding.RESET
-        if not data and self._link.is_udp:
-            return ()
+        if self._link.is_udp:
+            self._is_refused = False
+            if not data:
+                return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
             self._lose()
@@ -345,6 +352,15 @@ class TcpMaster(MasterLink):
             for event in [*rest, *self._splitter.feed(data, arrived_ns)]
             if (response := self._matched(event)) is not None
         ]
+
+    def _tell_failed(self, error: OSError) -> None:
+        why = failure(error, "slave")
+        if self._link.is_udp and isinstance(error, ConnectionRefusedError):
+            if not self._is_refused:
+                why = "its host answers that nobody listens at this port"
+            self._is_refused = True
+        if why is not None:
+            self._on_remark(f"mbtool: {self._link}: {why}")
 
     @staticmethod
     def _has_bytes(connected: socket.socket, wait_s: float) -> bool:

@@ -53,11 +53,6 @@ class Transport(StrEnum):
         """
         return {Transport.UDP: Transport.TCP, Transport.RTU_UDP: Transport.RTU_TCP}.get(self, self)
 
-    @property
-    def over_udp(self) -> Transport:
-        """The transport of the same form over UDP for one over TCP; else the transport itself."""
-        return {Transport.TCP: Transport.UDP, Transport.RTU_TCP: Transport.RTU_UDP}.get(self, self)
-
     is_serial: bool
     """True for RTU and ASCII on a serial line, which all units share."""
 

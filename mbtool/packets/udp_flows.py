@@ -13,11 +13,12 @@
 # same datagram is dropped without an event.
 #
 # Limits: MAX_FLOWS flows are kept; above that, the least recently used one is forgotten. Of each
-# direction the last KEPT datagrams are kept for COPY_WITH_NUMBER_NS.
+# direction the digests of the last KEPT datagrams are kept for COPY_WITH_NUMBER_NS.
 
 from __future__ import annotations
 
 from collections import OrderedDict, deque
+from hashlib import blake2b
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, StreamPlace, WireEvent
@@ -41,7 +42,8 @@ DOUBLED = "a datagram came twice; its second copy is left out"
 class _Seen(NamedTuple):
     """A datagram that came before."""
 
-    payload: bytes
+    digest: bytes
+    """The digest of its payload."""
     number: int
     ts_ns: int
     interface: str
@@ -72,12 +74,16 @@ class UdpFlows:
     ) -> list[StreamItem]:
         """Take a datagram from or to a wanted port; return its bytes, or an event for a copy."""
         flow, direction = self._flow(datagram, "" if self._across else interface)
-        seen = _Seen(datagram.payload, datagram.number, ts_ns, interface)
+        digest = blake2b(datagram.payload, digest_size=16).digest()
+        seen = _Seen(digest, datagram.number, ts_ns, interface)
+        before = flow.seen[direction]
+        while before and ts_ns - before[0].ts_ns > COPY_WITH_NUMBER_NS:
+            before.popleft()
         asked_ns = None if direction is Direction.REQUEST else flow.asked_ns
-        copied = next((one for one in flow.seen[direction] if _is_copy(one, seen, asked_ns)), None)
+        copied = next((one for one in before if _is_copy(one, seen, asked_ns)), None)
         if direction is Direction.REQUEST and copied is None:
             flow.asked_ns = ts_ns
-        flow.seen[direction].append(seen)
+        before.append(seen)
         ends = flow.identity
         if copied is not None:
             if copied.interface != interface:
@@ -139,7 +145,7 @@ def _is_copy(before: _Seen, now: _Seen, asked_ns: int | None) -> bool:
 
     `asked_ns` is the time of the last request for a response, None for a request.
     """
-    if before.payload != now.payload or before.number != now.number:
+    if before.digest != now.digest or before.number != now.number:
         return False
     is_sure = now.number or (asked_ns is not None and asked_ns <= before.ts_ns)
     return now.ts_ns - before.ts_ns <= (COPY_WITH_NUMBER_NS if is_sure else COPY_NS)

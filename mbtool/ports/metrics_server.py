@@ -1,14 +1,16 @@
 """Serves one text over HTTP, such as metrics that a Prometheus server fetches."""
 
 # The server runs in threads of its own and only hands out the text that was set last, so whoever
-# fetches it, and how slowly, makes nobody wait. A connection without a request ends after IDLE_S;
-# at most MAX_FETCHING are served at once, and others are closed.
+# fetches it, and how slowly, makes nobody wait. A connection ends after FETCH_S, whatever came until
+# then; at most MAX_FETCHING are served at once, and others are closed.
 
 from __future__ import annotations
 
+import socket
 import threading
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import TCPServer
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
@@ -17,7 +19,8 @@ if TYPE_CHECKING:
     from socketserver import BaseServer
 
 CONTENT_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
-IDLE_S = 5.0
+FETCH_S = 10.0
+"""A request and its answer take at most so long (s), as long as Prometheus waits by default."""
 MAX_FETCHING = 16
 
 
@@ -64,6 +67,15 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     _room = threading.BoundedSemaphore(MAX_FETCHING)
 
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        super().__init__(address, handler)
+
+    def server_bind(self) -> None:
+        """Bind as HTTPServer does, but ask no DNS server for the name of this machine."""
+        TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
     def process_request(self, request: Any, client_address: Any) -> None:
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)
@@ -71,17 +83,25 @@ class _Server(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
+        deadline = threading.Timer(FETCH_S, _end, (request,))
+        deadline.daemon = True
         try:
+            deadline.start()
             super().process_request_thread(request, client_address)
         finally:
+            deadline.cancel()
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over an error of one connection, such as a peer that is gone."""
 
 
+def _end(connection: socket.socket) -> None:
+    with suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
+
+
 class _TextHandler(BaseHTTPRequestHandler):
-    timeout = IDLE_S
     source: MetricsServer
 
     def __init__(self, request: Any, client_address: Any, server: BaseServer) -> None:

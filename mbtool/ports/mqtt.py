@@ -4,13 +4,14 @@
 # of one that was not sent yet, so that the broker gets the latest state. A thread of this module
 # takes them out, publishes each with QoS 1, and waits until the broker has confirmed it. So a slow
 # broker slows only this thread; while the broker is away, messages wait in the dictionary. paho has
-# another thread, which connects again by itself.
+# another thread, which connects again by itself, and then sends again what was not confirmed.
 #
 # Memory: MAX_WAITING messages. Beyond that, the one that has waited longest is dropped and counted.
 
 from __future__ import annotations
 
 import os
+import re
 import ssl
 import threading
 from collections import OrderedDict
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 MAX_WAITING = 65_536
 PASSWORD = "MBTOOL_MQTT_PASSWORD"
 """The environment variable with the password, which a command line would show to others."""
+_USER = re.compile(r"^(\w*://)?.*@", re.DOTALL)
+"""The user and the password in a URL, which no error repeats, also not one of a wrong URL."""
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
-_CONFIRM_S = 10.0
-"""If the broker has not confirmed a message after so long (s), it is published again."""
 _END_S = 2.0
 """At the end, messages that wait are still published for so long (s)."""
 
@@ -56,20 +57,21 @@ class Broker:
 
         Raises UsageError for a text of another form.
         """
+        shown = _USER.sub(r"\1", text)
         wanted = "mqtt://HOST[:PORT][/PREFIX], or mqtts:// for TLS"
         try:
             url = urlsplit(text)
             port = url.port
         except ValueError:
-            raise UsageError(f"--mqtt {text}: write {wanted}") from None
-        if url.scheme not in _PORTS or not url.hostname:
-            raise UsageError(f"--mqtt {text}: write {wanted}")
+            raise UsageError(f"--mqtt {shown}: write {wanted}") from None
+        if url.scheme not in _PORTS or not url.hostname or url.fragment:
+            raise UsageError(f"--mqtt {shown}: write {wanted}")
         prefix = unquote(url.path.strip("/")) or "mbtool"
         if "#" in prefix or "+" in prefix:
-            raise UsageError(f"--mqtt {text}: a topic has no # and no +")
+            raise UsageError(f"--mqtt {shown}: a topic has no # and no +")
         query = parse_qs(url.query)
         if set(query) - {"ca"} or (query and url.scheme != "mqtts"):
-            raise UsageError(f"--mqtt {text}: only ?ca=FILE may follow, with mqtts://")
+            raise UsageError(f"--mqtt {shown}: only ?ca=FILE may follow, with mqtts://")
         return cls(
             url.hostname,
             port or _PORTS[url.scheme],
@@ -101,11 +103,14 @@ class MqttPublisher:
         self._changed = threading.Condition()
         self._is_connected = threading.Event()
         self._is_ending = False
+        self._confirmed: set[int] = set()
+        """The ids of messages that the broker has confirmed since the last one was published."""
         self.dropped = 0
-        """The number of messages that found no room."""
+        """The number of messages that found no room, or that MQTT cannot carry."""
         self._was_told = False
         self._client = Client(CallbackAPIVersion.VERSION2)
         self._client.on_connect = self._connected
+        self._client.on_publish = self._note_confirmed
         self._client.on_disconnect = self._disconnected
         self._client.on_connect_fail = lambda *_: self._tell_lost("cannot be reached")
         self._client.reconnect_delay_set(1, 30)
@@ -140,6 +145,7 @@ class MqttPublisher:
                 last.wait_for_publish(_END_S)
         self._client.disconnect()
         self._client.loop_stop()
+        self._note_away()
 
     @property
     def prefix(self) -> str:
@@ -172,18 +178,29 @@ class MqttPublisher:
                 if not self._waiting:
                     continue
                 topic, (payload, retain) = self._waiting.popitem(last=False)
-            if not self._sent(topic, payload, retain=retain):
-                with self._changed:  # Unless there is a newer one.
-                    self._waiting.setdefault(topic, (payload, retain))
+            self._send(topic, payload, retain=retain)
 
-    def _sent(self, topic: str, payload: bytes, *, retain: bool) -> bool:
-        """Publish a message; return True if the broker has confirmed it."""
+    def _send(self, topic: str, payload: bytes, *, retain: bool) -> None:
+        """Publish a message, and wait until the broker has confirmed it, also after paho has
+        connected again; at the end, only while the broker is there.
+        """
+        with self._changed:
+            self._confirmed.clear()
         try:
-            info = self._client.publish(topic, payload, qos=1, retain=retain)
-            info.wait_for_publish(_CONFIRM_S)
-            return bool(info.is_published())
-        except (RuntimeError, ValueError):
-            return False
+            sent = self._client.publish(topic, payload, qos=1, retain=retain).mid
+        except ValueError:  # The topic or the payload is too long.
+            self.dropped += 1
+            return
+        with self._changed:
+            while sent not in self._confirmed and (
+                self._is_connected.is_set() or not self._is_ending
+            ):
+                self._changed.wait()
+
+    def _note_confirmed(self, _: object, __: object, message: int, *___: object) -> None:
+        with self._changed:
+            self._confirmed.add(message)
+            self._changed.notify()
 
     def _connected(self, client: Any, _: object, __: object, reason: Any, *___: object) -> None:
         if reason.is_failure:
@@ -196,9 +213,14 @@ class MqttPublisher:
         self._is_connected.set()
 
     def _disconnected(self, *_: object) -> None:
-        self._is_connected.clear()
+        self._note_away()
         if not self._is_ending:
             self._tell_lost("the connection is lost")
+
+    def _note_away(self) -> None:
+        with self._changed:
+            self._is_connected.clear()
+            self._changed.notify()
 
     def _tell_lost(self, why: str) -> None:
         """Tell once that the broker is away, until it is back."""

@@ -12,6 +12,7 @@ import os
 import re
 import subprocess
 from contextlib import ExitStack
+from hashlib import blake2b
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import UsageError, WireEvent
@@ -159,7 +160,7 @@ class TroubleCommands:
     def take(self, troubles: Sequence[Trouble]) -> None:
         """Run the commands of troubles that were not told before."""
         self._running = [one for one in self._running if one.poll() is None]
-        for trouble in troubles:
+        for trouble in (each for one in troubles for each in one.all):
             key = (trouble.code, trouble.link, trouble.unit, trouble.master)
             fitting = [line for code, line in self._commands if trouble.code.startswith(code)]
             if key in self._told or not fitting:
@@ -201,4 +202,8 @@ def _part(text: str) -> str:
 
 
 def _id(text: str) -> str:
-    return _NO_ID.sub("_", text)
+    """Return a text as a part of an id, which no other text has."""
+    plain = _NO_ID.sub("_", text)
+    if plain == text:
+        return text
+    return f"{plain}_{blake2b(text.encode(errors='replace'), digest_size=4).hexdigest()}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import LineSettings, Packet, SerialFormat, WireEvent
 from mbtool.decode.decoder import Decoder
-from mbtool.decode.usb_adapters import UsbAdapters
+from mbtool.decode.usb_adapters import MAX_DEVICES, UsbAdapters
 from mbtool.devices import Assignments, NamedTransaction, Namer
 from mbtool.modbus import ascii_adu, rtu_adu
 from mbtool.packets.usb import USB_LINK_TYPES, USB_LINUX, USB_LINUX_MMAPPED, USBPCAP
@@ -168,6 +169,22 @@ def test_the_ports_of_one_adapter_are_lines_of_their_own() -> None:
     ]
 
 
+def test_each_port_of_an_adapter_has_settings_and_times_of_its_own() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    for port, divisor in ((1, 0x4138), (2, 0x809C)):
+        capture.control(port, setup(0x40, 3, divisor, port))  # 9600 and 19200
+        capture.control(port, setup(0x40, 4, 0x0208 if port == 1 else 0x0108, port))
+    capture.sent(100, bytes(200))
+    capture.sent(101, _read(1)[0], 4)
+    adapters = UsbAdapters()
+    pieces = [piece for packet in capture.packets for piece in adapters.feed(packet)]
+    assert [one.format for one in adapters.lines()] == [
+        SerialFormat(9600, 8, "E", 1),
+        SerialFormat(19200, 8, "O", 1),
+    ]
+    assert pieces[1].ts_ns < pieces[0].ts_ns  # The first port still sends for 0.2 s.
+
+
 def test_a_machine_that_only_listens_hears_both_sides() -> None:
     capture = UsbCapture(USB_LINUX_MMAPPED)
     _ftdi(capture)
@@ -189,6 +206,38 @@ def test_an_ascii_line_is_known_by_its_first_bytes() -> None:
     assert [(str(one.transport), str(one.outcome)) for one in found] == [("ascii", "ok")] * 3
 
 
+@pytest.mark.parametrize("begun", [b"02C5\r\n", b"\xff"])
+def test_an_ascii_line_whose_first_bytes_are_no_beginning_is_known_by_later_ones(
+    begun: bytes,
+) -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cdc(capture)
+    capture.received(50, begun)
+    for number in range(3):
+        request = ascii_adu(1, bytes((3, 0, number, 0, 1)))
+        capture.ask(100 + 100 * number, request, ascii_adu(1, bytes((3, 2, 0, number))))
+    found, _, decoder = _decoded(capture.packets)
+    assert [(str(one.transport), str(one.outcome)) for one in found] == [("ascii", "ok")] * 3
+    assert decoder.line_of(LINK).ascii
+
+
+def test_a_line_with_7_data_bits_is_ascii() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    capture.control(1, setup(0x21, 0x20, length=7), (9600).to_bytes(4, "little") + b"\0\2\7")
+    capture.received(50, b"C5\r\n")
+    _, _, decoder = _decoded(capture.packets)
+    assert decoder.line_of(LINK).ascii
+
+
+def test_a_colon_in_a_part_of_an_rtu_frame_makes_no_ascii_line() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cdc(capture)
+    capture.received(50, b":12\x80")
+    capture.ask(100, *_read(1))
+    _, _, decoder = _decoded(capture.packets)
+    assert not decoder.line_of(LINK).ascii
+
+
 def test_settings_that_the_user_gives_override_those_of_the_adapter() -> None:
     capture = UsbCapture(USB_LINUX_MMAPPED)
     _cp210x(capture)
@@ -206,6 +255,43 @@ def test_settings_that_change_hold_from_then_on() -> None:
     found, _, decoder = _decoded(capture.packets)
     assert decoder.line_of(LINK).format.baud == 57600
     assert [str(one.outcome) for one in found] == ["ok"] * 2
+
+
+def test_the_lines_of_adapters_that_are_gone_are_forgotten() -> None:
+    decoder = Decoder(Namer(Assignments()))
+    adapters = UsbAdapters()
+    for device in range(1, MAX_DEVICES + 11):
+        capture = UsbCapture(USB_LINUX_MMAPPED, device=device)
+        _cp210x(capture)
+        capture.ask(100, *_read(1))
+        for packet in capture.packets:
+            adapters.feed(packet)
+            decoder.feed(packet)
+    kept = [f"usb1.{device}" for device in range(11, MAX_DEVICES + 11)]
+    assert [one.name for one in adapters.lines()] == kept
+    assert decoder.line_of("usb1.1").format == decoder.line_of("none").format
+    assert decoder.line_of("usb1.11").format == SerialFormat(9600, 8, "E", 1)
+
+
+def test_times_go_on_after_the_clock_was_set_back() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cp210x(capture)
+    for ms in (4_000_000, 400_000, 400_100):
+        capture.ask(ms, *_read(1))
+    adapters = UsbAdapters()
+    pieces = [piece for packet in capture.packets for piece in adapters.feed(packet)]
+    assert [one.ts_ns // 1_000_000_000 for one in pieces] == [4000, 4000, 400, 400, 400, 400]
+
+
+def test_bytes_that_wait_behind_a_long_transfer_are_sent_after_it() -> None:
+    capture = UsbCapture(USB_LINUX_MMAPPED)
+    _cp210x(capture)
+    for ms in (100, 101, 102):
+        capture.sent(ms, _read(1)[0] * 10)
+    adapters = UsbAdapters()
+    ends = [piece.ts_ns for packet in capture.packets for piece in adapters.feed(packet)]
+    took_ns = 80 * SerialFormat(9600, 8, "E", 1).character_ns
+    assert [later - one for one, later in pairwise(ends)] == [took_ns, took_ns]
 
 
 def test_other_devices_on_the_bus_are_passed_over() -> None:

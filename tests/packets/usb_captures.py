@@ -15,9 +15,10 @@ MS = 1_000_000
 class UsbCapture:
     """The packets of one adapter, in one of the forms of USB captures."""
 
-    def __init__(self, link_type: int, order: str = "<") -> None:
+    def __init__(self, link_type: int, order: str = "<", device: int = DEVICE) -> None:
         self._link_type = link_type
         self._order = order
+        self._device = device
         self._id = 100
         self.packets: list[Packet] = []
 
@@ -64,7 +65,7 @@ class UsbCapture:
             ord(event),
             kind,
             endpoint,
-            DEVICE,
+            self._device,
             BUS,
             0 if setup else ord("-"),
             0 if data else ord(">"),
@@ -89,7 +90,7 @@ class UsbCapture:
             9,
             is_done,
             BUS,
-            DEVICE,
+            self._device,
             endpoint,
             kind,
             len(data),

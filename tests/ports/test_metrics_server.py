@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 import urllib.error
 import urllib.request
 
@@ -11,6 +12,7 @@ import pytest
 from mbtool.core import Endpoint, LinkError, UsageError
 from mbtool.ports.metrics_server import CONTENT_TYPE, MAX_FETCHING, MetricsServer, parse_place
 
+PATIENCE_S = 20.0
 LOOPBACK = Endpoint("127.0.0.1", 0)
 
 
@@ -47,6 +49,38 @@ def test_many_connections_that_ask_nothing_leave_room_when_they_end() -> None:
             one.close()
         with urllib.request.urlopen(f"http://{server.place}/metrics", timeout=30) as answer:
             assert answer.read() == b"# EOF\n"
+
+
+def test_a_client_that_sends_a_byte_now_and_then_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mbtool.ports.metrics_server.FETCH_S", 0.2)
+    with MetricsServer(LOOPBACK) as server:
+        port = int(server.place.rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port)) as slow:
+            slow.settimeout(0.02)
+            answered: bytes | None = None
+            until = time.monotonic() + PATIENCE_S
+            while answered is None and time.monotonic() < until:
+                try:
+                    slow.sendall(b"G")
+                    answered = slow.recv(1)
+                except TimeoutError:
+                    continue
+                except ConnectionError:
+                    answered = b""
+            assert answered == b""
+
+
+def test_an_address_of_ipv6_is_served() -> None:
+    with MetricsServer(Endpoint("::1", 0)) as server:
+        assert server.place.startswith("[::1]:")
+        with urllib.request.urlopen(f"http://{server.place}/metrics", timeout=30) as answer:
+            assert answer.read() == b"# EOF\n"
+
+
+def test_nobody_is_asked_for_the_name_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.getfqdn", lambda *_: pytest.fail("DNS"))
+    with MetricsServer(LOOPBACK) as server:
+        assert server.place.startswith("127.0.0.1:")
 
 
 def test_an_address_that_is_taken_is_one_clear_line() -> None:

@@ -1,0 +1,36 @@
+"""What a recording tells brokers and commands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.troubles.trouble import Trouble
+from mbtool.workflows.live_out import TroubleCommands, _id
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize(("one", "other"), [("Größe", "Grüße"), ("a b", "a_b"), ("温度", "压力")])
+def test_different_names_have_different_ids(one: str, other: str) -> None:
+    assert _id(one) != _id(other)
+    assert _id(one) == _id(one)
+    assert all(each.isascii() and " " not in each for each in (_id(one), _id(other)))
+
+
+def test_a_name_of_plain_characters_is_its_id() -> None:
+    assert _id("unit_4-flow") == "unit_4-flow"
+
+
+def test_a_command_runs_for_each_trouble_of_a_group(tmp_path: Path) -> None:
+    def trouble(unit: int, *others: Trouble) -> Trouble:
+        return Trouble(code="LINE-REPEATED", link="/dev/a", unit=unit, others=others)
+
+    commands = TroubleCommands([("LINE-REPEATED", f'touch "{tmp_path}/$MBTOOL_UNIT"')], pytest.fail)
+    for group in (trouble(1, trouble(2)), trouble(2, trouble(1), trouble(3))):
+        commands.take([group])
+        for process in commands._running:
+            process.wait()
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["1", "2", "3"]
