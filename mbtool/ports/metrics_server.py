@@ -1,7 +1,7 @@
 """Serves one text over HTTP, such as metrics that a Prometheus server fetches."""
 
 # The server runs in threads of its own and only hands out the text that was set last, so whoever
-# fetches it, and how slowly, makes nobody wait. A connection ends after FETCH_S, whatever came until
+# fetches it, and how slowly, makes nobody wait. A connection ends after FETCH_S, whatever came by
 # then; at most MAX_FETCHING are served at once, and others are closed.
 
 from __future__ import annotations
