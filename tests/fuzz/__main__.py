@@ -52,10 +52,11 @@ def main() -> None:
     if given.inside:
         (_guided if from_atheris else _plain)(given.target[0], given.corpus, given.minutes * 60)
         return
-    names = given.target or _all_targets()
-    unknown = set(names) - set(_all_targets())
+    targets = _all_targets()
+    names = given.target or targets
+    unknown = set(names) - set(targets)
     if unknown:
-        parser.error(f"no target {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+        parser.error(f"no target {', '.join(sorted(unknown))}; there are {', '.join(targets)}")
     if not from_atheris:
         say("without atheris: inputs are mutated at random, and coverage is not looked at")
     is_good = all(_fuzz(name, given) for name in names)
