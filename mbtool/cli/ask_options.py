@@ -210,7 +210,7 @@ class AskedSlave:
     profile: Profile | None
     wording: Wording
     references: list[str]
-    """What the user named to read or write, without types."""
+    """The references (and values) that the user gave, without their types."""
     timeout_ns: int
     tls: TargetTls | None
     listen_ns: int | None

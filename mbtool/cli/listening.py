@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 _MOST_WAIT_S = 7 * 86_400
 _TOLD_S = 30.0
-"""Where standard error is no terminal, the search for settings is told of each so many seconds."""
+"""The time in seconds between two lines about the search for settings, where standard error is no
+terminal."""
 
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:

@@ -240,8 +240,9 @@ class WireEvent:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionEnd:
-    """How a TCP connection ended, as the message of its CLOSED event says it. A log stores this
-    message, so it is read from the text.
+    """The way in which a TCP connection ended, read from the message of its CLOSED event.
+
+    A log stores no more than this message.
     """
 
     reason: str

@@ -80,8 +80,8 @@ _MAKERS = {0x0403: Maker.FTDI, 0x1A86: Maker.OTHER, 0x10C4: Maker.OTHER, 0x067B:
 Prolific (PL2303)."""
 
 _FTDI_STATUS, _FTDI_IDLE = 0x01, frozenset((0x00, 0x20, 0x40, 0x60))
-"""What FTDI's status bytes are without data or errors: the low 4 bits of the first, and the values
-of the second. No Modbus function has these numbers, so no frame begins like that."""
+"""The status bytes of FTDI without data or errors: the low 4 bits of the first, and the values of
+the second. No Modbus function has these numbers, so no frame begins like that."""
 _FTDI_ERRORS = (
     (0x02, "bytes are lost: the receiver of the adapter was overrun"),
     (0x04, "a parity error"),
@@ -93,7 +93,7 @@ _PACKET_SIZES = (64, 512)
 
 @dataclass(slots=True)
 class _Port:
-    """What is known of a port of an adapter, at which one line is."""
+    """The settings and times of one port of an adapter; one serial line is at each port."""
 
     baud: int | None = None
     data_bits: int = 8
@@ -124,7 +124,7 @@ class _Port:
 
 @dataclass(slots=True)
 class _Device:
-    """What is known of a device on the bus."""
+    """The maker and the ports of one USB device."""
 
     maker: Maker | None = None
     """None as long as nothing shows that it is an adapter."""
@@ -415,7 +415,7 @@ def _described(device: _Device, setup: bytes, data: bytes) -> None:
 
 
 def _distance(rate: float) -> float:
-    """How far a rate is from the next usual baud rate, as a share of it."""
+    """Return the distance of a rate to the nearest usual baud rate, as a share (0 to 1) of that."""
     return min(abs(rate - one) / one for one in _USUAL_BAUDS)
 
 

@@ -39,14 +39,14 @@ class MergedRead:
     address: int
     quantity: int
     count: int
-    """How many reads it stands for."""
+    """The number of reads that this one replaces."""
     most_asked: int
     """The largest quantity that the slave has answered so far; a larger one is for its manual."""
 
 
 @dataclass(frozen=True, slots=True)
 class CycleAdvice:
-    """What would become of a polled list."""
+    """The requests of a polled list after reads are merged, and the time of its cycle then."""
 
     merged: tuple[MergedRead, ...]
     requests: int

@@ -47,7 +47,7 @@ class ConnectionCounts(NamedTuple):
     opened: int
     closed: int
     most: int
-    """How many more connections than before the batch were open at some time in it, at most."""
+    """The most connections open at once in the batch, less those open before it."""
     first_opened_ns: int | None
     """The time (UTC ns) of the first opening; None if there is none."""
 

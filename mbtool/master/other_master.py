@@ -124,7 +124,7 @@ class HeardPoll:
 
 
 class OtherMaster:
-    """What was heard of another master on a serial line."""
+    """The requests of another master on a serial line, and their periods."""
 
     def __init__(self, link: SerialLink) -> None:
         self._link = link

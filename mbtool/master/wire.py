@@ -57,7 +57,7 @@ class HeardAdu(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """What came back after bytes were sent."""
+    """The bytes that a slave sent back, and their times."""
 
     raw: bytes
     adus: tuple[HeardAdu, ...]
