@@ -241,3 +241,13 @@ def test_bytes_at_the_end_of_a_capture_may_begin_the_response(
     talk.feed(way, mbap_adu(1, 5, VALUE)[:5], 500 * MS)
     (one,) = transactions(talk.close(5000 * MS))
     assert one.outcome == outcome
+
+
+@pytest.mark.parametrize("lost", [Direction.REQUEST, Direction.RESPONSE])
+def test_a_loss_makes_no_pair_sure_that_a_choice_made_doubtful(lost: Direction) -> None:
+    pairing = undecided()
+    pairing.advance(4206 * MS + 1)
+    assert pairing._is_doubtful
+    for at_ms in (4210, 4220):
+        pairing.note_loss(lost, 100, at_ms * MS)
+    assert pairing._is_doubtful
