@@ -55,8 +55,10 @@ def found_settings(links: Sequence[LinkSpec], wait: str | None) -> list[LinkSpec
 
     most_ns = _MOST_WAIT_S * SECOND_NS
     wait_ns = None if wait is None else parse_duration(wait, "--wait", SECOND_NS, most_ns)
-    if wait is not None and not any(isinstance(one, AutoLink) for one in links):
-        raise UsageError("--wait is for a link with @auto, and there is none")
+    if not any(isinstance(one, AutoLink) for one in links):
+        if wait is not None:
+            raise UsageError("--wait is for a link with @auto, and there is none")
+        return list(links)
     with shown_progress(_TOLD_S) as show:
         return with_settings(links, say, show, None if wait_ns is None else wait_ns / SECOND_NS)
 

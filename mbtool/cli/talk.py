@@ -11,6 +11,8 @@ import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
+from mbtool.cli.view_queue import ViewQueue, unwaited
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
@@ -18,37 +20,26 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-PATIENCE_S = 0.5
-"""While a recording runs, `say` waits at most this many seconds for standard error to take a
-message. After it has waited in vain once, it drops such messages without waiting."""
-
 _wipes: list[Callable[[], None]] = []
 """Functions that erase lines that are redrawn in place, such as the progress line."""
 
 
-class _Waiting:
-    """The time that `say` waits if standard error takes no text, as on a stopped terminal."""
-
-    patience_s: float | None = None
-    """A message is dropped after this many seconds; with None, `say` waits for ever."""
-
-
 @contextmanager
 def never_waiting() -> Iterator[None]:
-    """While the context is open, drop messages that standard error does not take in time."""
-    _Waiting.patience_s = PATIENCE_S
+    """While the context is open, standard error does not hold up the command.
+
+    Messages go into a queue that a thread writes. Those that a stopped terminal does not take are
+    lost at the end.
+    """
+    before = sys.stderr
+    sys.stderr = queued = unwaited(before)
     try:
         yield
     finally:
-        _Waiting.patience_s = None
-
-
-def _has_room(timeout_s: float) -> bool:
-    """True if standard error takes text within `timeout_s`, or if the system cannot tell."""
-    try:
-        return bool(select.select([], [sys.stderr.fileno()], [], timeout_s)[1])
-    except (OSError, ValueError):  # Windows asks only sockets; a file in memory has no descriptor.
-        return True
+        sys.stderr = before
+        if isinstance(queued, ViewQueue):
+            with suppress(OSError):
+                queued.drain(lambda: True)
 
 
 def say(text: str, *, is_error: bool = False) -> None:
@@ -59,8 +50,7 @@ def say(text: str, *, is_error: bool = False) -> None:
     """
     for wipe in _wipes:
         wipe()
-    if _Waiting.patience_s is not None and not _has_room(_Waiting.patience_s):
-        _Waiting.patience_s = 0.0
+    if isinstance(sys.stderr, ViewQueue) and sys.stderr.is_full:
         return
     with suppress(OSError):
         print(_for_journal(text, is_error=is_error) + escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
@@ -75,16 +65,21 @@ def shown_progress(least_s: float | None = None) -> Iterator[Callable[[str], Non
     never if it is None.
     """
     told_s = time.monotonic()
+    is_drawn = False
 
     def wipe() -> None:
-        with suppress(OSError):
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
+        nonlocal is_drawn
+        if is_drawn:
+            is_drawn = False
+            with suppress(OSError):
+                sys.stderr.write("\r\x1b[K")
+                sys.stderr.flush()
 
     def show(text: str) -> None:
-        nonlocal told_s
+        nonlocal told_s, is_drawn
         if is_terminal:
             wipe()
+            is_drawn = True
             with suppress(OSError):
                 sys.stderr.write(escaped(text))
                 sys.stderr.flush()
@@ -144,13 +139,21 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
         _wipes.remove(wipe)
 
 
+def _has_room() -> bool:
+    """True if standard error takes a byte at once, or if the system cannot tell."""
+    try:
+        return bool(select.select([], [sys.stderr.fileno()], [], 0.0)[1])
+    except (OSError, ValueError):  # Windows asks only sockets; a file in memory has no descriptor.
+        return True
+
+
 def _end_line_of_echo() -> None:
     """Begin a new line on the terminal, so that the next message is not behind the echoed `^C`.
 
     If a line is redrawn in place, erasing it removes the `^C` as well.
     """
     with suppress(OSError, ValueError, AttributeError):
-        if sys.stderr.isatty() and not _wipes and _has_room(0.0):
+        if sys.stderr.isatty() and not _wipes and _has_room():
             os.write(sys.stderr.fileno(), b"\n")
 
 

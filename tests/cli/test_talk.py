@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import redirect_stderr
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,11 +15,12 @@ from mbtool.cli.talk import (
     Interrupt,
     interruptible,
     interruption_told,
+    never_waiting,
     redrawn_line,
     say,
     shown_progress,
 )
-from tests.cli.program import PATIENCE_S
+from tests.cli.program import PATIENCE_S, full_terminal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -103,6 +105,14 @@ def test_a_redrawn_line_is_erased_before_something_is_said(
     assert capsys.readouterr().err == "two\nthree\n"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
+def test_a_long_message_does_not_wait_for_a_terminal_that_takes_only_a_part_of_it() -> None:
+    with full_terminal() as full, open(full, "w", closefd=False) as file, redirect_stderr(file):
+        with never_waiting():
+            say("x" * 10_000)
+        assert sys.stderr is file
+
+
 def _waits_with_a_signal_at(line: int) -> bool:
     """True if the signal came before the wait was over."""
     interrupt, lines = Interrupt(), iter(range(line, -1, -1))
@@ -148,7 +158,7 @@ def test_progress_is_one_line_of_a_terminal_that_is_erased_at_the_end(
         say("found")
         show("unit\n2")
     erase = "\r\x1b[K"
-    assert capsys.readouterr().err == f"{erase}unit 1{erase}found\n{erase}unit\\n2{erase}"
+    assert capsys.readouterr().err == f"unit 1{erase}found\nunit\\n2{erase}"
 
 
 def test_progress_is_said_now_and_then_where_there_is_no_terminal(
