@@ -16,8 +16,9 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 
-from mbtool.columns.arrays import Bools, Int64s, narrow
+from mbtool.columns.arrays import Bools, Groups, Int64s, narrow
 from mbtool.columns.block_values import BlockValues
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
@@ -29,6 +30,7 @@ from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import (
     QuietConnection,
     QuietPoll,
+    QuietRequest,
     QuietRun,
     QuietWrite,
 )
@@ -226,9 +228,11 @@ class _QuietBlock:
         first, last = self.rows_of(begin, end)
         return QuietRun(
             self._quiet_connections(begin, end),
-            lambda: [self._quiet_poll(places) for places in _alike(self._poll, first, last)],
+            lambda: self._quiet_polls(first, last)[0],
             lambda: self._quiet_writes(first, last),
+            lambda: self._quiet_requests(first, last),
             self.transaction,
+            self._head,
             self._events.last_ns(*self._events_before[[begin, end]].tolist()),
         )
 
@@ -291,17 +295,67 @@ class _QuietBlock:
         is_quiet[places] = np.array(is_clean, np.bool_)[kind]
         return is_quiet
 
-    def _quiet_poll(self, places: Int64s) -> QuietPoll:
-        rows, usual, first = self._rows, self._usual, int(places[0])
-        return QuietPoll(
-            rows.connections[rows.connection[first]].link,
-            int(rows.unit[first]),
-            int(rows.code[first]),
-            int(usual.address[first]),
-            int(usual.quantity[first]),
-            first,
-            rows.request_ns[places].tolist(),
+    def _head(self, index: int) -> NamedTransaction:
+        """Return the transaction of a row with the values and bytes of an equal request."""
+        rows, kinds, number = self._rows, self._kinds, self._rows.block.first_number
+        begin_ns, end_ns = int(rows.request_ns[index]), int(rows.response_ns[index])
+        return structs.replace(
+            kinds.likes[kinds.kind[index]],
+            file=rows.block.file,
+            source=self._ends[self._connection[index]][1],
+            transaction_id=int(rows.transaction_id[index]),
+            request_ns=begin_ns,
+            response_ns=end_ns,
+            latency_ns=end_ns - begin_ns,
+            request_packet=number + int(rows.request[index]),
+            response_packet=number + int(rows.response[index]),
         )
+
+    def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], list[int]]:
+        """Return the polls of rows, sorted by their last rows; and the index of each row's poll."""
+        rows, usual = self._rows, self._usual
+        groups = Groups(self._poll[begin:end])
+        by_last = np.argsort(groups.last)
+        first = (groups.first + begin)[by_last]
+        times = rows.request_ns[begin:end][groups.order].tolist()
+        links = [self._ends[one][0] for one in self._connection[first].tolist()]
+        polls = [
+            QuietPoll(*fields, times[start:stop])
+            for *fields, start, stop in zip(
+                links,
+                rows.unit[first].tolist(),
+                rows.code[first].tolist(),
+                usual.address[first].tolist(),
+                usual.quantity[first].tolist(),
+                first.tolist(),
+                groups.starts[by_last].tolist(),
+                groups.ends[by_last].tolist(),
+                strict=True,
+            )
+        ]
+        number = np.empty(len(first), np.int64)
+        number[by_last] = np.arange(len(first))
+        return polls, number[groups.number].tolist()
+
+    def _quiet_requests(self, begin: int, end: int) -> list[QuietRequest]:
+        rows, number = self._rows, self._rows.block.first_number
+        ends = [self._ends[one] for one in self._connection[begin:end].tolist()]
+        packets = zip(
+            (rows.request[begin:end] + number).tolist(),
+            (rows.response[begin:end] + number).tolist(),
+            strict=True,
+        )
+        return [
+            QuietRequest(poll, source, destination, at_ns, row, both)
+            for poll, (_, source, destination), at_ns, row, both in zip(
+                self._quiet_polls(begin, end)[1],
+                ends,
+                rows.request_ns[begin:end].tolist(),
+                range(begin, end),
+                packets,
+                strict=True,
+            )
+        ]
 
     def _quiet_writes(self, begin: int, end: int) -> list[QuietWrite]:
         first, last = np.searchsorted(self._writes, (begin, end)).tolist()
@@ -527,8 +581,6 @@ def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
 
     Returns the indices of the rows of each group. The groups are sorted by their last rows.
     """
-    some = group[begin:end]
-    order = np.argsort(some, kind="stable")
-    cuts = np.flatnonzero(np.diff(some[order])) + 1
-    groups = np.split(order + begin, cuts)
-    return sorted(groups, key=lambda one: int(one[-1]))
+    groups = Groups(group[begin:end])
+    found = np.split(groups.order + begin, groups.starts[1:])
+    return [found[one] for one in np.argsort(groups.last).tolist()]

@@ -28,8 +28,24 @@ class QuietPoll(NamedTuple):
     address: int
     quantity: int
     first: int
-    """The row number of the first of these requests, for `QuietRun.transaction`."""
+    """The row number of the first of these requests, for `QuietRun.head`."""
     request_ns: list[int]
+
+
+class QuietRequest(NamedTuple):
+    """A request in a run."""
+
+    poll: int
+    """The index of its poll in `QuietRun.polls`."""
+    source: str
+    """HOST:PORT of the master."""
+    destination: str
+    at_ns: int
+    """The time of the request, in ns."""
+    row: int
+    """Its row number, for `QuietRun.head` and `QuietRun.transaction`."""
+    packets: tuple[int, int]
+    """The numbers of the packets of the request and its response."""
 
 
 class QuietConnection(NamedTuple):
@@ -83,7 +99,9 @@ class QuietRun:
         connections: list[QuietConnection],
         polls: Callable[[], list[QuietPoll]],
         writes: Callable[[], list[QuietWrite]],
+        requests: Callable[[], list[QuietRequest]],
         transaction: Callable[[int], NamedTransaction],
+        head: Callable[[int], NamedTransaction],
         last_event_ns: int = 0,
     ) -> None:
         self.connections = connections
@@ -91,8 +109,12 @@ class QuietRun:
         openings."""
         self._polls = polls
         self._writes = writes
+        self._requests = requests
         self.transaction = transaction
-        """Makes the transaction with a row number, which `QuietPoll.first` gives."""
+        """Makes the transaction with a row number."""
+        self.head = head
+        """Makes the transaction with a row number, but with the values and bytes of an equal
+        request. That is faster."""
         self.last_event_ns = last_event_ns
         """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
 
@@ -105,6 +127,11 @@ class QuietRun:
     def writes(self) -> list[QuietWrite]:
         """The writes among them, in their order."""
         return self._writes()
+
+    @cached_property
+    def requests(self) -> list[QuietRequest]:
+        """All requests, in the order of the responses."""
+        return self._requests()
 
     @property
     def last_request_ns(self) -> int:

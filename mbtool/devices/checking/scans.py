@@ -21,11 +21,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import CONNECTION_JOINED
 from mbtool.devices.checking.finding import event_finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import (
+    Packets,
     host_of,
     master_text,
     place_text,
@@ -36,6 +38,8 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.core import WireEvent
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
@@ -52,6 +56,24 @@ answer. A gateway has fewer; a device that ignores the unit answers for every on
 _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 """Outcomes of requests that the slave may have answered as asked."""
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
+
+
+class _Asked(NamedTuple):
+    """A request to a unit."""
+
+    source: str
+    """The master's IP address; on a serial line, the name of the line."""
+    slave: str
+    """The slave's HOST:PORT; on a serial line, the name of the line."""
+    host: str
+    """The slave's IP address; empty on a serial line."""
+    unit: int
+    request: int
+    """The hash of the request (`_request`)."""
+    at_ns: int
+    packets: Packets
+    is_answered: bool = True
+    as_asked: bool = True
 
 
 class ScanRules:
@@ -83,30 +105,57 @@ class ScanRules:
         """
         self._heard(source, transaction.start_ns)
         if not self._units.is_polled((source, slave), transaction.unit):
-            self._note_unit(transaction, source, slave)
+            asked = _Asked(
+                source,
+                slave,
+                "" if transaction.destination is None else host_of(transaction.destination),
+                transaction.unit,
+                _request(transaction),
+                transaction.start_ns,
+                packets_of(transaction),
+                transaction.response_raw is not None,
+                transaction.outcome in _AS_ASKED,
+            )
+            self._note_unit(asked, lambda: transaction)
         if transaction.exception in _REFUSED_ADDRESS:
             self._note_register(transaction, source, slave)
         elif _is_missing(transaction, profile):
             self._note_function(transaction, source, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if the masters poll all units in these transactions, and all hosts to which they
-        open connections, so that no rule about scans needs to count them.
+        """True if the masters poll all hosts to which these transactions open connections, so that
+        the openings need not be counted.
         """
         return all(
-            self._units.is_polled((host_of(one.source), one.destination), unit)
-            for one in run.connections
-            for unit in one.units
-        ) and all(
             self._hosts.is_polled((host_of(one.source),), host_of(one.destination))
             for one in run.connections
             if one.opened_ns is not None
         )
 
     def run(self, run: QuietRun) -> None:
-        """Note the time of many answered reads of units that are all polled."""
+        """Count many answered reads, with the same result as `transaction` for each. Those of units
+        that are known to be polled need not be counted.
+        """
         opened = (one.opened_ns or 0 for one in run.connections)
         self._end_ns = max(self._end_ns, run.last_request_ns, *opened)
+        unpolled = {
+            (one.source, one.destination, unit)
+            for one in run.connections
+            for unit in one.units
+            if not self._units.is_polled((host_of(one.source), one.destination), unit)
+        }
+        if not unpolled:
+            return
+        hashes = [hash((one.function, one.address, one.quantity)) for one in run.polls]
+        for one in run.requests:
+            unit = run.polls[one.poll].unit
+            if (one.source, one.destination, unit) in unpolled:
+                source, slave = host_of(one.source), one.destination
+                self._heard(source, one.at_ns)
+                asked = _Asked(
+                    source, slave, host_of(slave), unit, hashes[one.poll], one.at_ns, one.packets
+                )
+                self._note_unit(asked, partial(run.head, one.row))
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
@@ -149,42 +198,45 @@ class ScanRules:
         is_new = self._polled_ns is not None and first_ns is not None and first_ns > self._polled_ns
         return not (is_new and was_opened)
 
-    def _note_unit(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        request, is_answered = _request(transaction), transaction.response_raw is not None
-        as_asked = transaction.outcome in _AS_ASKED
+    def _note_unit(self, asked: _Asked, transaction: Callable[[], NamedTransaction]) -> None:
+        """Count a request to a unit that is not known to be polled. `transaction` makes its
+        transaction.
+        """
+        source = asked.source
 
         def first_unit() -> tuple[str, Finding]:
+            one = transaction()
             text = (
-                f"{master_text(transaction)} asks {{count}} units of "
-                f"{place_text(transaction)} and polls none of them: {{examples}}"
+                f"{master_text(one)} asks {{count}} units of "
+                f"{place_text(one)} and polls none of them: {{examples}}"
             )
-            return str(transaction.unit), _finding("SEC-202", transaction, text)
+            return str(one.unit), _finding("SEC-202", one, text)
 
         is_polled = self._units.note(
-            (source, slave),
-            transaction.unit,
-            request,
+            (source, asked.slave),
+            asked.unit,
+            asked.request,
             first_unit,
-            is_answered=is_answered,
-            is_answered_as_asked=as_asked,
-            packets=packets_of(transaction),
+            is_answered=asked.is_answered,
+            is_answered_as_asked=asked.as_asked,
+            packets=asked.packets,
         )
         if is_polled and self._polled_ns is None:
-            self._polled_ns = transaction.start_ns
-        if transaction.destination is None:
+            self._polled_ns = asked.at_ns
+        host = asked.host
+        if not host:
             return
-        host = host_of(transaction.destination)
         if is_polled:
             self._hosts.set_polled((source,), host)
             return
         self._hosts.note(
             (source,),
             host,
-            hash((request, transaction.unit)),
-            lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
-            is_answered=is_answered,
-            is_answered_as_asked=as_asked,
-            packets=packets_of(transaction),
+            hash((asked.request, asked.unit)),
+            lambda: (host, _finding("SEC-201", transaction(), _hosts(source))),
+            is_answered=asked.is_answered,
+            is_answered_as_asked=asked.as_asked,
+            packets=asked.packets,
         )
 
     def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:

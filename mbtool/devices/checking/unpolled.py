@@ -223,4 +223,5 @@ class Unpolled:
             new = [*scan.recent][-counted:]
             texts = [one.text for one in scan.recent]
             packets = [each for one in new for each in (one.finding.packets, *one.more)]
-            self._cases.add(str(scope[0]), new[0].finding, counted, texts, packets)
+            first = new[0].finding
+            self._cases.add(str(scope[0]), first.code, lambda: first, counted, texts, packets)
