@@ -48,6 +48,8 @@ class KindsOfRows(NamedTuple):
 
     likes: list[NamedTransaction]
     """An example transaction of each kind of poll, from this block or an earlier one."""
+    form: list[int]
+    """For each kind a number, equal for those that differ in address only."""
     kind: Int64s
     """For each row, the index of its kind; meaningless for a row that is no usual read or write.
     """
@@ -102,7 +104,9 @@ class PollRuns:
             if one.address != address and key[1] >= 0:
                 one = namer.as_kind(structs.replace(one, address=address))
             self._kinds[key] = one
-        return KindsOfRows([self._kinds[key] for key in keys], groups.number)
+        known: dict[tuple[_Place, int], int] = {}
+        form_of = [known.setdefault((end, one & ~_ADDRESS), len(known)) for end, one in keys]
+        return KindsOfRows([self._kinds[key] for key in keys], form_of, groups.number)
 
 
 def _places(rows: PlainRows) -> list[_Place]:
@@ -163,7 +167,8 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
             end_ns,
             times[start:stop],
             latencies[start:stop],
-            partial(_packets_of, rows, order[start:stop] + begin),
+            partial(_packets_of, rows, order[start:stop], begin),
+            kinds.form[which],
         )
         for which, start, stop, begin_ns, end_ns in zip(
             kinds.kind[some][groups.first[by_first]].tolist(),
@@ -178,7 +183,9 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
     return AnsweredRun(alike, kind, request_ns.tolist(), response_ns.tolist())
 
 
-def _packets_of(rows: PlainRows, places: Int64s, index: int) -> tuple[int, int]:
-    """Return the packets of request and response of one of the rows with the indices `places`."""
-    row, first = int(places[index]), rows.block.first_number
+def _packets_of(rows: PlainRows, places: Int64s, begin: int, index: int) -> tuple[int, int]:
+    """Return the packets of request and response of one of the rows that are `places` behind the
+    row `begin`.
+    """
+    row, first = begin + int(places[index]), rows.block.first_number
     return first + int(rows.request[row]), first + int(rows.response[row])
