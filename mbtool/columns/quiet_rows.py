@@ -3,9 +3,10 @@ object of each.
 """
 
 # A row of the arrays is one transaction. It is quiet if it is one of the usual reads and writes
-# (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
-# does not read holding registers of a SunSpec slave (sunspec_rows.py), and if no other request was
-# open on its connection meanwhile. Every other row is made a transaction object.
+# (usual_rows.py), has a function, address, quantity and exception code that give no finding, has no
+# exception of a gateway, does not read holding registers of a SunSpec slave (sunspec_rows.py), and
+# if no other request was open on its connection meanwhile. Every other row is made a transaction
+# object.
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from mbtool.columns.arrays import Bools, Groups, Int64s, narrow
+from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
 from mbtool.columns.block_values import BlockValues
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
@@ -37,6 +38,7 @@ from mbtool.devices.checking.quiet_run import (
 from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
 from mbtool.ledger.answered_run import ConnectionCounts
 from mbtool.modbus.functions import (
+    GATEWAY_EXCEPTIONS,
     WRITE_ONE,
     WRITE_SEVERAL,
 )
@@ -74,7 +76,9 @@ class QuietParts:
     connections that were read from arrays as a whole.
     """
 
-    def __init__(self, namer: Namer) -> None:
+    def __init__(self, namer: Namer, *, exceptions: bool = True) -> None:
+        """Without `exceptions`, a transaction whose response is an exception is an object."""
+        self._exceptions = exceptions
         self._objects = PlainObjects(namer)
         self._sunspec = SunSpecRows()
         self._runs = PollRuns(self._objects)
@@ -94,7 +98,9 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(rows, self._objects, self._sunspec, self._runs)
+        block = _QuietBlock(
+            rows, self._objects, self._sunspec, self._runs, exceptions=self._exceptions
+        )
         yield from block.parts(records, passed)
 
 
@@ -113,6 +119,8 @@ class _QuietBlock:
         objects: PlainObjects,
         sunspec: SunSpecRows,
         runs: PollRuns,
+        *,
+        exceptions: bool,
     ) -> None:
         self._rows = rows
         self._runs = runs
@@ -120,8 +128,10 @@ class _QuietBlock:
         self._objects = objects.of(rows, usual)
         asked = rows.code << 32 | usual.address << 16 | usual.quantity
         usual.is_usual &= ~(sunspec.find(rows, usual) | self._objects.have_profile())
-        is_answered = usual.is_usual & (usual.exception < 0)
-        self._is_quiet = self._without_findings(is_answered)
+        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS]) if exceptions else (
+            usual.exception >= 0
+        )  # fmt: skip
+        self._is_quiet = self._without_findings(usual.is_usual & ~is_apart)
         known = {one: number for number, one in enumerate(dict.fromkeys(rows.connections))}
         self._ends = [(one.link, str(one.master), str(one.slave)) for one in known]
         self._hosts = [one.master.host for one in known]
@@ -220,6 +230,9 @@ class _QuietBlock:
     def transaction(self, index: int) -> NamedTransaction:
         return self._objects.one(index)
 
+    def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
+        return self._objects.chosen(indices)
+
     def transactions(self, begin: int, end: int) -> Iterator[NamedTransaction]:
         return self._objects.some(begin, end)
 
@@ -235,6 +248,7 @@ class _QuietBlock:
             self.transaction,
             self._head,
             self._events.last_ns(*self._events_before[[begin, end]].tolist()),
+            has_exceptions=bool((self._usual.exception[first:last] >= 0).any()),
         )
 
     def answered(self, begin: int, end: int) -> AnsweredRun:
@@ -285,11 +299,16 @@ class _QuietBlock:
 
     def _without_findings(self, is_answered: Bools) -> Bools:
         """Return for each answered row True if it gives no finding. Without a profile, that depends
-        on its function, its quantity, and on its last address being possible.
+        on its function, its quantity, its exception code, and on its last address being possible.
         """
         rows, usual, places = self._rows, self._usual, np.flatnonzero(is_answered)
         is_beyond = usual.address + usual.quantity > ADDRESSES
-        form = rows.code << 32 | is_beyond.astype(np.int64) << 16 | usual.quantity
+        form = (
+            usual.exception + 1 << 40
+            | rows.code << 32
+            | is_beyond.astype(np.int64) << 16
+            | usual.quantity
+        )
         _, first, kind = np.unique(form[places], return_index=True, return_inverse=True)
         is_clean = [not one.findings for one in self._objects.chosen(places[first])]
         is_quiet = np.zeros(len(form), np.bool_)
@@ -351,6 +370,7 @@ class _QuietBlock:
             rows.request_ns[begin:end].tolist(),
             range(begin, end),
             packets,
+            self._usual.exception[begin:end].tolist(),
             strict=True,
         )
         return [*map(QuietRequest._make, fields)]
@@ -391,7 +411,7 @@ class _QuietBlock:
         bounds = [0, *np.cumsum(np.minimum(ends - starts, MAX_RECENT)).tolist()]
         unit, of_unit = rows.unit[order], np.repeat(np.arange(len(starts)), ends - starts)
         units: list[set[int]] = [set() for _ in numbers]
-        for both in np.unique(of_unit << 8 | unit).tolist():
+        for both in distinct(of_unit << 8 | unit):
             units[both >> 8].add(both & 0xFF)
         opened = self._events.opened(*self._events_before[[begin, end]].tolist())
         found = []
@@ -425,7 +445,7 @@ class _QuietBlock:
         numbers = events.connection[event:until]
         pairs = self._link_host[numbers]
         found = []
-        for pair in np.unique(pairs).tolist():
+        for pair in distinct(pairs):
             places = np.flatnonzero(pairs == pair)
             steps = np.where(events.opens[event:until][places], 1, -1)
             opened = places[steps > 0] + event
@@ -542,6 +562,10 @@ class BlockRows:
     def transactions(self, count: int) -> Iterator[NamedTransaction]:
         first, last = self._rows
         return self._block.transactions(first, min(first + count, last))
+
+    def chosen(self, places: list[int]) -> Iterator[NamedTransaction]:
+        """Yield the transactions at these indices."""
+        return self._block.chosen(np.array(places, np.int64) + self._rows[0])
 
     def records(self, count: int) -> Iterator[Record]:
         return self._block.items(self._begin, self._block.behind(self._begin, self._end, count))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.answered_run import AnsweredRun
 
 MAX_UNITS = 500
 _OUTCOMES = {
@@ -34,16 +35,38 @@ class FailedCases(Sense):
         self._cases: dict[tuple[str, int, Outcome], list[Evidence]] = {}
 
     def transaction(self, one: NamedTransaction) -> None:
-        if one.outcome not in _FAILED:
+        if one.outcome in _FAILED:
+            cases = self._cases_of(one)
+            if cases is not None:
+                cases.append(Evidence.of(one))
+
+    def run(self, run: AnsweredRun) -> None:
+        failed = [kind for kind in run.kinds if kind.like.outcome in _FAILED]
+        if not failed:
             return
+        # The first cases of each unit are kept, in the order of the responses.
+        indices = [0] * len(run.kinds)
+        for number in run.kind:
+            kind = run.kinds[number]
+            if kind.like.outcome in _FAILED:
+                cases = self._cases_of(kind.like)
+                if cases is not None:
+                    index = indices[number]
+                    cases.append(Evidence(
+                        ts_ns=kind.request_ns[index], file=kind.like.file,
+                        packets=kind.packets(index),
+                    ))  # fmt: skip
+                indices[number] += 1
+
+    def _cases_of(self, one: NamedTransaction) -> list[Evidence] | None:
+        """Return the cases like this transaction; None if there is no room for one more."""
         key = one.link, one.unit, one.outcome
         cases = self._cases.get(key)
         if cases is None:
             if len(self._cases) >= MAX_UNITS:
-                return
+                return None
             cases = self._cases[key] = []
-        if len(cases) < MAX_EVIDENCE:
-            cases.append(Evidence.of(one))
+        return cases if len(cases) < MAX_EVIDENCE else None
 
     def proved(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles of units with their cases as evidence."""

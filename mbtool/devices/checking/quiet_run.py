@@ -1,5 +1,5 @@
 """Figures about many answered Modbus/TCP reads and writes that break no rule by themselves, for the
-rules of `mbtool check`.
+rules of `mbtool check`. The responses may be exceptions.
 """
 
 # Most transactions of a capture are such ones; columns/ decodes them into arrays, without an
@@ -46,6 +46,8 @@ class QuietRequest(NamedTuple):
     """Its row number, for `QuietRun.head` and `QuietRun.transaction`."""
     packets: tuple[int, int]
     """The numbers of the packets of the request and its response."""
+    exception: int
+    """The exception code of the response; -1 if it is none."""
 
 
 class QuietConnection(NamedTuple):
@@ -89,7 +91,8 @@ class QuietWrite(NamedTuple):
 
 
 class QuietRun:
-    """Figures about consecutive Modbus/TCP reads and writes with the outcome OK.
+    """Figures about consecutive Modbus/TCP reads and writes with the outcome OK or EXCEPTION, but
+    no exception of a gateway.
 
     None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
     """
@@ -103,6 +106,8 @@ class QuietRun:
         transaction: Callable[[int], NamedTransaction],
         head: Callable[[int], NamedTransaction],
         last_event_ns: int = 0,
+        *,
+        has_exceptions: bool = False,
     ) -> None:
         self.connections = connections
         """The transactions grouped by connection, in the order of their last requests or
@@ -115,6 +120,8 @@ class QuietRun:
         self.head = head
         """Makes the transaction with a row number, but with the values and bytes of an equal
         request. That is faster."""
+        self.has_exceptions = has_exceptions
+        """True if some responses are exceptions."""
         self.last_event_ns = last_event_ns
         """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
 

@@ -24,8 +24,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from msgspec import structs
+
 from mbtool.core import CONNECTION_JOINED
-from mbtool.devices.checking.finding import event_finding, packets_of, transaction_finding
+from mbtool.devices.checking.finding import Finding, event_finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import (
     Packets,
     host_of,
@@ -41,7 +43,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.core import WireEvent
-    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
@@ -68,12 +69,15 @@ class _Asked(NamedTuple):
     host: str
     """The slave's IP address; empty on a serial line."""
     unit: int
+    function: int
+    address: int | None
     request: int
-    """The hash of the request (`_request`)."""
+    """A hash of its function, address and quantity, to recognise a repeated request."""
     at_ns: int
     packets: Packets
-    is_answered: bool = True
-    as_asked: bool = True
+    is_answered: bool
+    as_asked: bool
+    """True if the slave may have answered as asked."""
 
 
 class ScanRules:
@@ -84,10 +88,10 @@ class ScanRules:
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._first_time_ns = limits.identification.window_ns
-        self._hosts = Unpolled(limits.host_scan, cases)
-        self._units = Unpolled(limits.unit_scan, cases, most_ordinary=MOST_UNITS)
-        self._functions = Unpolled(limits.function_scan, cases)
-        self._registers = Unpolled(limits.register_scan, cases)
+        self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
+        self._units = Unpolled("SEC-202", _as_is, limits.unit_scan, cases, most_ordinary=MOST_UNITS)
+        self._functions = Unpolled("SEC-203", _function_case, limits.function_scan, cases)
+        self._registers = Unpolled("SEC-204", _register_case, limits.register_scan, cases)
         self._end_ns = 0
         """The time of the latest request, in ns."""
         self._polled_ns: int | None = None
@@ -104,23 +108,31 @@ class ScanRules:
         both are the name of the line. `profile` is the slave's; None if it has none.
         """
         self._heard(source, transaction.start_ns)
-        if not self._units.is_polled((source, slave), transaction.unit):
-            asked = _Asked(
-                source,
-                slave,
-                "" if transaction.destination is None else host_of(transaction.destination),
-                transaction.unit,
-                _request(transaction),
-                transaction.start_ns,
-                packets_of(transaction),
-                transaction.response_raw is not None,
-                transaction.outcome in _AS_ASKED,
-            )
+        is_polled = self._units.is_polled((source, slave), transaction.unit)
+        is_refused = transaction.exception in _REFUSED_ADDRESS
+        is_missing = not is_refused and _is_missing(transaction, profile)
+        if is_polled and not is_refused and not is_missing:
+            return  # The usual case.
+        asked = _Asked(
+            source,
+            slave,
+            "" if transaction.destination is None else host_of(transaction.destination),
+            transaction.unit,
+            transaction.function,
+            transaction.address,
+            hash((transaction.function, transaction.address, transaction.quantity)),
+            transaction.start_ns,
+            packets_of(transaction),
+            transaction.response_raw is not None,
+            transaction.outcome in _AS_ASKED,
+        )
+        if not is_polled:
             self._note_unit(asked, lambda: transaction)
-        if transaction.exception in _REFUSED_ADDRESS:
-            self._note_register(transaction, source, slave)
-        elif _is_missing(transaction, profile):
-            self._note_function(transaction, source, slave)
+        make = partial(_bare, transaction)
+        if is_refused:
+            self._note_register(asked, make)
+        elif is_missing:
+            self._note_function(asked, make)
 
     def takes(self, run: QuietRun) -> bool:
         """True if the masters poll all hosts to which these transactions open connections, so that
@@ -144,18 +156,37 @@ class ScanRules:
             for unit in one.units
             if not self._units.is_polled((host_of(one.source), one.destination), unit)
         }
-        if not unpolled:
+        if not unpolled and not run.has_exceptions:
             return
-        hashes = [hash((one.function, one.address, one.quantity)) for one in run.polls]
+        polls = run.polls
+        hashes = [hash((one.function, one.address, one.quantity)) for one in polls]
         for one in run.requests:
-            unit = run.polls[one.poll].unit
-            if (one.source, one.destination, unit) in unpolled:
-                source, slave = host_of(one.source), one.destination
-                self._heard(source, one.at_ns)
-                asked = _Asked(
-                    source, slave, host_of(slave), unit, hashes[one.poll], one.at_ns, one.packets
-                )
-                self._note_unit(asked, partial(run.head, one.row))
+            poll, exception = polls[one.poll], one.exception
+            is_unpolled = (one.source, one.destination, poll.unit) in unpolled
+            if exception < 0 and not is_unpolled:
+                continue
+            source, slave = host_of(one.source), one.destination
+            self._heard(source, one.at_ns)
+            asked = _Asked(
+                source,
+                slave,
+                host_of(slave),
+                poll.unit,
+                poll.function,
+                poll.address,
+                hashes[one.poll],
+                one.at_ns,
+                one.packets,
+                is_answered=True,
+                as_asked=exception < 0,
+            )
+            head = partial(run.head, one.row)
+            if is_unpolled:
+                self._note_unit(asked, head)
+            if exception in _REFUSED_ADDRESS:
+                self._note_register(asked, head)
+            elif exception == ExceptionCode.ILLEGAL_FUNCTION:
+                self._note_function(asked, head)
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
@@ -167,7 +198,8 @@ class ScanRules:
             (source,),
             host,
             OPENED,
-            lambda: (host, event_finding("SEC-201", event, _hosts(source))),
+            event.ts_ns,
+            lambda: event_finding("SEC-201", event, _hosts(source)),
         )
 
     def close(self) -> None:
@@ -198,32 +230,23 @@ class ScanRules:
         is_new = self._polled_ns is not None and first_ns is not None and first_ns > self._polled_ns
         return not (is_new and was_opened)
 
-    def _note_unit(self, asked: _Asked, transaction: Callable[[], NamedTransaction]) -> None:
-        """Count a request to a unit that is not known to be polled. `transaction` makes its
+    def _note_unit(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
+        """Count a request to a unit that is not known to be polled. `make` makes its
         transaction.
         """
-        source = asked.source
-
-        def first_unit() -> tuple[str, Finding]:
-            one = transaction()
-            text = (
-                f"{master_text(one)} asks {{count}} units of "
-                f"{place_text(one)} and polls none of them: {{examples}}"
-            )
-            return str(one.unit), _finding("SEC-202", one, text)
-
+        source, host = asked.source, asked.host
         is_polled = self._units.note(
             (source, asked.slave),
             asked.unit,
             asked.request,
-            first_unit,
+            asked.at_ns,
+            lambda: _unit_case(make()),
             is_answered=asked.is_answered,
             is_answered_as_asked=asked.as_asked,
             packets=asked.packets,
         )
         if is_polled and self._polled_ns is None:
             self._polled_ns = asked.at_ns
-        host = asked.host
         if not host:
             return
         if is_polled:
@@ -233,48 +256,82 @@ class ScanRules:
             (source,),
             host,
             hash((asked.request, asked.unit)),
-            lambda: (host, _finding("SEC-201", transaction(), _hosts(source))),
+            asked.at_ns,
+            lambda: _finding("SEC-201", make(), _hosts(source)),
             is_answered=asked.is_answered,
             is_answered_as_asked=asked.as_asked,
             packets=asked.packets,
         )
 
-    def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        def first_function() -> tuple[str, Finding]:
-            text = (
-                f"{master_text(transaction)} asks unit {transaction.unit} of "
-                f"{place_text(transaction)} for {{count}} functions that it does not have: "
-                "{examples}"
-            )
-            finding = replace(_finding("SEC-203", transaction, text), unit=transaction.unit)
-            return f"{transaction.function:02X}H", finding
-
+    def _note_function(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
         self._functions.note(
-            (source, slave, transaction.unit),
-            transaction.function,
-            _request(transaction),
-            first_function,
-            is_answered=transaction.response_raw is not None,
-            packets=packets_of(transaction),
+            (asked.source, asked.slave, asked.unit),
+            asked.function,
+            asked.request,
+            asked.at_ns,
+            make,
+            is_answered=asked.is_answered,
+            packets=asked.packets,
         )
 
-    def _note_register(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        def first_register() -> tuple[str, Finding]:
-            text = (
-                f"unit {transaction.unit} of {place_text(transaction)} refuses "
-                f"{master_text(transaction)} {{count}} different registers: {{examples}}"
-            )
-            finding = replace(_finding("SEC-204", transaction, text), unit=transaction.unit)
-            return request_text(transaction), finding
-
+    def _note_register(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
         self._registers.note(
-            (source, slave, transaction.unit),
-            (transaction.function, transaction.address),
-            _request(transaction),
-            first_register,
+            (asked.source, asked.slave, asked.unit),
+            (asked.function, asked.address),
+            asked.request,
+            asked.at_ns,
+            make,
             is_answered=True,
-            packets=packets_of(transaction),
+            packets=asked.packets,
         )
+
+
+def _bare(transaction: NamedTransaction) -> NamedTransaction:
+    """Return a transaction without its bytes and values, to be kept for a message."""
+    return structs.replace(
+        transaction,
+        request_raw=None,
+        response_raw=None,
+        request_values=None,
+        response_values=None,
+        points=[],
+    )
+
+
+def _as_is(case: tuple[str, Finding]) -> tuple[str, Finding]:
+    return case
+
+
+def _host_case(finding: Finding) -> tuple[str, Finding]:
+    """Return the slave's IP address in the finding of a first request or opening, and the finding,
+    which takes less memory than a transaction.
+    """
+    return host_of(finding.destination or finding.link), finding
+
+
+def _unit_case(one: NamedTransaction) -> tuple[str, Finding]:
+    """Return the unit of a request as text, and the finding if it is the first of a scan."""
+    text = (
+        f"{master_text(one)} asks {{count}} units of {place_text(one)} and polls none of them: "
+        "{examples}"
+    )
+    return str(one.unit), _finding("SEC-202", one, text)
+
+
+def _function_case(one: NamedTransaction) -> tuple[str, Finding]:
+    text = (
+        f"{master_text(one)} asks unit {one.unit} of {place_text(one)} for {{count}} functions "
+        "that it does not have: {examples}"
+    )
+    return f"{one.function:02X}H", replace(_finding("SEC-203", one, text), unit=one.unit)
+
+
+def _register_case(one: NamedTransaction) -> tuple[str, Finding]:
+    text = (
+        f"unit {one.unit} of {place_text(one)} refuses {master_text(one)} {{count}} different "
+        "registers: {examples}"
+    )
+    return request_text(one), replace(_finding("SEC-204", one, text), unit=one.unit)
 
 
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
@@ -289,11 +346,6 @@ def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
 
 def _hosts(source: str) -> str:
     return f"{source} asks {{count}} addresses and polls none of them: {{examples}}"
-
-
-def _request(transaction: NamedTransaction) -> int:
-    """A hash of a request's function, address and quantity, to recognise a repeated request."""
-    return hash((transaction.function, transaction.address, transaction.quantity))
 
 
 def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:

@@ -43,7 +43,7 @@ class _SourceCases:
         for one in packets:
             if one and len(self.packets) < MAX_CASES:
                 self.packets[one] = None
-        for example in examples:
+        for example in () if self.has_more_examples else examples:
             if example in self.examples:
                 continue
             if len(self.examples) < MAX_EXAMPLES:

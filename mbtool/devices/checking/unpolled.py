@@ -25,16 +25,19 @@ from __future__ import annotations
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.security_cases import Packets
 from mbtool.devices.checking.sliding_window import SlidingWindow
 
 if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit
+
+R = TypeVar("R")
 
 MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
@@ -62,10 +65,12 @@ class _Attempts:
     number 1 is remembered, then number 2, 4, 8 and so on in its place."""
     is_answered: bool
     """True if the remembered request has a response."""
-    text: str
-    """The requested IP address, unit, function or register as text, for an example in a
-    message."""
-    finding: Finding
+    record: Any
+    """The record of the first request."""
+    at_ns: int
+    """The time of the first request, in ns."""
+    packets: Packets
+    """The packets of the first request."""
     number: int = 1
     """The number of the master's requests to the thing so far."""
     repeats: int = 0
@@ -112,7 +117,7 @@ class _UnpolledThings:
         self.recent: deque[_Attempts] = deque(maxlen=limit.number)
 
 
-class Unpolled:
+class Unpolled(Generic[R]):
     """Counts for one rule the things that masters request but do not poll, and adds them to
     `cases`.
 
@@ -121,11 +126,21 @@ class Unpolled:
     """
 
     def __init__(
-        self, limit: SecurityLimit, cases: SecurityCases, *, most_ordinary: int | None = None
+        self,
+        code: str,
+        describe: Callable[[R], tuple[str, Finding]],
+        limit: SecurityLimit,
+        cases: SecurityCases,
+        *,
+        most_ordinary: int | None = None,
     ) -> None:
-        """`most_ordinary` is the largest number of things in a scope that can all be ordinary
-        polling; None for any number.
+        """`code` is that of the rule. `describe` is called with the record of the first request to
+        a thing, if it is a case. It returns the thing as text, for an example in a message, and the
+        finding to use if this is the first case of a scan. `most_ordinary` is the largest number of
+        things in a scope that can all be ordinary polling; None for any number.
         """
+        self._code = code
+        self._describe = describe
         self._cases = cases
         self._most_ordinary = most_ordinary
         self._attempts: OrderedDict[_Thing, _Attempts] = OrderedDict()
@@ -154,7 +169,8 @@ class Unpolled:
         scope: _Scope,
         item: Hashable,
         request: int,
-        describe: Callable[[], tuple[str, Finding]],
+        at_ns: int,
+        make: Callable[[], R],
         *,
         is_answered: bool = False,
         is_answered_as_asked: bool = False,
@@ -164,9 +180,9 @@ class Unpolled:
 
         Returns True if the thing is now known to be polled. `request` is the hash of the request;
         `is_answered` is True if it has a response, `is_answered_as_asked` if that response brings
-        what was requested, and is no exception. `describe` is called for the first request to a
-        thing. It returns the thing as text, for an example in a message, and the finding to use if
-        this is the first case of a scan. `packets` are those of the request and its response.
+        what was requested, and is no exception. `at_ns` is the time of the request. `make` is
+        called for the first request to a thing, and makes its record. `packets` are those of the
+        request and its response.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -176,7 +192,9 @@ class Unpolled:
             self._attempts[thing] = _Attempts(
                 request,
                 is_answered,
-                *describe(),
+                make(),
+                at_ns,
+                packets,
                 is_answered_as_asked=is_answered_as_asked,
                 was_opened=request == OPENED,
             )
@@ -206,9 +224,9 @@ class Unpolled:
         for (scope, _), one in left.items():
             all_things[scope] += 1
             ordinary[scope] += one.is_answered_as_asked and is_too_short(
-                str(scope[0]), one.finding.ts_ns, one.was_opened
+                str(scope[0]), one.at_ns, one.was_opened
             )
-        for thing, one in sorted(left.items(), key=lambda item: item[1].finding.ts_ns):
+        for thing, one in sorted(left.items(), key=lambda item: item[1].at_ns):
             scope, most = thing[0], self._most_ordinary
             is_plant = 2 * ordinary[scope] > all_things[scope]
             if not is_plant or (most is not None and all_things[scope] > most):
@@ -218,10 +236,11 @@ class Unpolled:
         scope = thing[0]
         scan = self._scans[scope]
         scan.recent.append(attempts)
-        counted = scan.window.add(attempts.finding.ts_ns)
+        counted = scan.window.add(attempts.at_ns)
         if counted:
-            new = [*scan.recent][-counted:]
-            texts = [one.text for one in scan.recent]
-            packets = [each for one in new for each in (one.finding.packets, *one.more)]
-            first = new[0].finding
-            self._cases.add(str(scope[0]), first.code, lambda: first, counted, texts, packets)
+            new = [*islice(reversed(scan.recent), counted)][::-1]
+            texts = (self._describe(one.record)[0] for one in scan.recent)
+            packets = [each for one in new for each in (one.packets, *one.more)]
+            first = new[0]
+            source, make = str(scope[0]), lambda: self._describe(first.record)[1]
+            self._cases.add(source, self._code, make, counted, texts, packets)
