@@ -33,7 +33,6 @@ from mbtool.devices.checking.quiet_run import (
     QuietPoll,
     QuietRequest,
     QuietRun,
-    QuietWrite,
 )
 from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
 from mbtool.ledger.answered_run import ConnectionCounts
@@ -243,9 +242,8 @@ class _QuietBlock:
         return QuietRun(
             self._quiet_connections(begin, end),
             lambda: polls()[0],
-            lambda: self._quiet_writes(first, last),
-            lambda: self._quiet_requests(first, last, polls()[1]),
-            self.transaction,
+            lambda: self._quiet_requests(self._writes_of(first, last), first, polls()[1]),
+            lambda: self._quiet_requests(np.arange(first, last), first, polls()[1]),
             self._head,
             self._events.last_ns(*self._events_before[[begin, end]].tolist()),
             has_exceptions=bool((self._usual.exception[first:last] >= 0).any()),
@@ -331,7 +329,7 @@ class _QuietBlock:
             response_packet=number + rows.response.item(index),
         )
 
-    def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], list[int]]:
+    def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], Int64s]:
         """Return the polls of rows, sorted by their last rows; and the index of each row's poll."""
         rows, usual = self._rows, self._usual
         groups = Groups(self._poll[begin:end])
@@ -352,44 +350,30 @@ class _QuietBlock:
         polls = [*map(QuietPoll._make, fields)]  # Faster than to call QuietPoll.
         number = np.empty(len(first), np.int64)
         number[by_last] = np.arange(len(first))
-        return polls, number[groups.number].tolist()
+        return polls, number[groups.number]
 
-    def _quiet_requests(self, begin: int, end: int, polls: Sequence[int]) -> list[QuietRequest]:
-        """Return the requests of rows; `polls` has the index of each one's poll."""
+    def _writes_of(self, begin: int, end: int) -> Int64s:
+        first, last = np.searchsorted(self._writes, (begin, end)).tolist()
+        return self._writes[first:last]
+
+    def _quiet_requests(self, chosen: Int64s, begin: int, polls: Int64s) -> list[QuietRequest]:
+        """Return the requests of the chosen rows; `polls` has the index of the poll of each row
+        from `begin` on.
+        """
         rows, number = self._rows, self._rows.block.first_number
-        ends = [self._ends[one] for one in self._connection[begin:end].tolist()]
-        packets = zip(
-            (rows.request[begin:end] + number).tolist(),
-            (rows.response[begin:end] + number).tolist(),
-            strict=True,
-        )
+        ends = [self._ends[one] for one in self._connection[chosen].tolist()]
+        requests, responses = rows.request[chosen] + number, rows.response[chosen] + number
         fields = zip(
-            polls,
+            polls[chosen - begin].tolist(),
             [source for _, source, _ in ends],
             [destination for _, _, destination in ends],
-            rows.request_ns[begin:end].tolist(),
-            range(begin, end),
-            packets,
-            self._usual.exception[begin:end].tolist(),
+            rows.request_ns[chosen].tolist(),
+            chosen.tolist(),
+            zip(requests.tolist(), responses.tolist(), strict=True),
+            self._usual.exception[chosen].tolist(),
             strict=True,
         )
         return [*map(QuietRequest._make, fields)]
-
-    def _quiet_writes(self, begin: int, end: int) -> list[QuietWrite]:
-        first, last = np.searchsorted(self._writes, (begin, end)).tolist()
-        chosen, rows = self._writes[first:last], self._rows
-        if not len(chosen):
-            return []
-        ends = [self._ends[one] for one in self._connection[chosen].tolist()]
-        number = rows.block.first_number
-        requests, responses = rows.request[chosen] + number, rows.response[chosen] + number
-        packets = zip(requests.tolist(), responses.tolist(), strict=True)
-        return [
-            QuietWrite(source, destination, at_ns, place, both)
-            for (_, source, destination), at_ns, place, both in zip(
-                ends, rows.request_ns[chosen].tolist(), chosen.tolist(), packets, strict=True
-            )
-        ]
 
     def _quiet_connections(self, begin: int, end: int) -> list[QuietConnection]:
         """Return the connections of items, in the order of their last requests or openings."""

@@ -43,7 +43,7 @@ class QuietRequest(NamedTuple):
     at_ns: int
     """The time of the request, in ns."""
     row: int
-    """Its row number, for `QuietRun.head` and `QuietRun.transaction`."""
+    """Its row number, for `QuietRun.head`."""
     packets: tuple[int, int]
     """The numbers of the packets of the request and its response."""
     exception: int
@@ -76,20 +76,6 @@ class QuietConnection(NamedTuple):
     beginning then."""
 
 
-class QuietWrite(NamedTuple):
-    """A write in a run."""
-
-    source: str
-    """HOST:PORT of the master."""
-    destination: str
-    at_ns: int
-    """The time of its request, in ns."""
-    row: int
-    """Its row number, for `QuietRun.transaction`."""
-    packets: tuple[int, int]
-    """The numbers of the packets of its request and its response."""
-
-
 class QuietRun:
     """Figures about consecutive Modbus/TCP reads and writes with the outcome OK or EXCEPTION, but
     no exception of a gateway.
@@ -101,9 +87,8 @@ class QuietRun:
         self,
         connections: list[QuietConnection],
         polls: Callable[[], list[QuietPoll]],
-        writes: Callable[[], list[QuietWrite]],
+        writes: Callable[[], list[QuietRequest]],
         requests: Callable[[], list[QuietRequest]],
-        transaction: Callable[[int], NamedTransaction],
         head: Callable[[int], NamedTransaction],
         last_event_ns: int = 0,
         *,
@@ -115,11 +100,9 @@ class QuietRun:
         self._polls = polls
         self._writes = writes
         self._requests = requests
-        self.transaction = transaction
-        """Makes the transaction with a row number."""
         self.head = head
         """Makes the transaction with a row number, but with the values and bytes of an equal
-        request. That is faster."""
+        request."""
         self.has_exceptions = has_exceptions
         """True if some responses are exceptions."""
         self.last_event_ns = last_event_ns
@@ -131,7 +114,7 @@ class QuietRun:
         return self._polls()
 
     @cached_property
-    def writes(self) -> list[QuietWrite]:
+    def writes(self) -> list[QuietRequest]:
         """The writes among them, in their order."""
         return self._writes()
 

@@ -59,7 +59,7 @@ _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
 
 
-class _Asked(NamedTuple):
+class _UnitRequest(NamedTuple):
     """A request to a unit."""
 
     source: str
@@ -113,7 +113,7 @@ class ScanRules:
         is_missing = not is_refused and _is_missing(transaction, profile)
         if is_polled and not is_refused and not is_missing:
             return  # The usual case.
-        asked = _Asked(
+        asked = _UnitRequest(
             source,
             slave,
             "" if transaction.destination is None else host_of(transaction.destination),
@@ -167,7 +167,7 @@ class ScanRules:
                 continue
             source, slave = host_of(one.source), one.destination
             self._heard(source, one.at_ns)
-            asked = _Asked(
+            asked = _UnitRequest(
                 source,
                 slave,
                 host_of(slave),
@@ -230,7 +230,7 @@ class ScanRules:
         is_new = self._polled_ns is not None and first_ns is not None and first_ns > self._polled_ns
         return not (is_new and was_opened)
 
-    def _note_unit(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
+    def _note_unit(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         """Count a request to a unit that is not known to be polled. `make` makes its
         transaction.
         """
@@ -263,7 +263,7 @@ class ScanRules:
             packets=asked.packets,
         )
 
-    def _note_function(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
+    def _note_function(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         self._functions.note(
             (asked.source, asked.slave, asked.unit),
             asked.function,
@@ -274,7 +274,7 @@ class ScanRules:
             packets=asked.packets,
         )
 
-    def _note_register(self, asked: _Asked, make: Callable[[], NamedTransaction]) -> None:
+    def _note_register(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         self._registers.note(
             (asked.source, asked.slave, asked.unit),
             (asked.function, asked.address),
