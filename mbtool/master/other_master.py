@@ -12,11 +12,15 @@
 # pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
 # whose time has come and that was not heard is awaited, as it may come at any moment.
 #
+# Bytes that a read finds at once may have come at any time since the read before. What is doubtful
+# by more than MOST_DOUBT_NS tells nothing of a pause or a period: on a busy machine pauses would
+# look far shorter than they are.
+#
 # If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
 # noted, too.
 #
-# Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, and what the splitter
-# holds.
+# Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, MAX_DOUBTS spans of
+# time, and what the splitter holds.
 
 from __future__ import annotations
 
@@ -44,6 +48,9 @@ LEAST_SEEN = 3
 """So often a pause must have been heard before a request is sent in it."""
 MAX_POLLS = 256
 MAX_PAUSES = 64
+MAX_DOUBTS = 64
+MOST_DOUBT_NS = 5_000_000
+"""The time of a byte is known if it is at most so much later, in ns, than it seems."""
 MARGIN_NS = 20_000_000
 """A request must fit into a pause with this much time to spare, in ns. USB adapters deliver bytes
 up to 16 ms late."""
@@ -143,11 +150,16 @@ class OtherMaster:
         """The same of the pause in which our last request was sent."""
         self._anew_ns = 0
         """The time since which nothing on the line was missed."""
+        self._doubts: deque[tuple[int, int]] = deque(maxlen=MAX_DOUBTS)
+        """The spans of time of bytes whose times are doubtful, in ns."""
 
-    def feed(self, data: bytes, at_ns: int) -> None:
-        """Take bytes that were heard, the last of them at the time `at_ns`; or no bytes, if the
-        line was silent up to that time.
+    def feed(self, data: bytes, at_ns: int, doubt_ns: int = 0) -> None:
+        """Take bytes that were heard, the last of them at the time `at_ns` or at most `doubt_ns` ns
+        later; or no bytes, if the line was silent up to that time.
         """
+        if data and doubt_ns > MOST_DOUBT_NS:
+            begin_ns = at_ns - len(data) * self._link.format.character_ns
+            self._doubts.append((begin_ns, at_ns))
         self._last_byte_ns = at_ns if data else self._last_byte_ns
         self._take(self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns))
 
@@ -169,13 +181,16 @@ class OtherMaster:
                 self.unread_bytes += len(event.raw)
 
     def _take_frame(self, adu: Adu) -> None:
+        begins, ends = self._is_sure(adu.start_ns), self._is_sure(adu.end_ns)
         if self._answered is not None:
             poll, end_ns = self._answered
-            poll.pauses.append(adu.start_ns - end_ns)
+            if begins and self._is_sure(end_ns):
+                poll.pauses.append(adu.start_ns - end_ns)
             self._answered = None
         if adu.direction is Direction.RESPONSE:
             if self._asked is not None and self._asked.request.unit == adu.unit:
-                self._asked.note_latency(adu.start_ns - self._asked.last_ns)
+                if begins and self._asked.is_followed:
+                    self._asked.note_latency(adu.start_ns - self._asked.last_ns)
                 self._answered = self._asked, adu.end_ns
             self._asked = None
             return
@@ -184,8 +199,14 @@ class OtherMaster:
             known = HeardPoll(adu, 0, adu.end_ns)
             if len(self.polls) < MAX_POLLS:
                 self.polls[adu.raw] = known
+        known.is_followed = known.is_followed and ends
         known.note_request(adu.end_ns)
+        known.is_followed = ends
         self._asked = known
+
+    def _is_sure(self, at_ns: int) -> bool:
+        """True if the bytes around this time came when they seem to have come."""
+        return not any(begin_ns <= at_ns <= end_ns for begin_ns, end_ns in self._doubts)
 
     @property
     def is_known(self) -> bool:

@@ -9,8 +9,9 @@ not right.
 """
 
 # The masters and the slaves are processes of their own. A request whose bytes collide with others
-# is never answered, so the time-out of pymodbus decides nothing about collisions. It is long,
-# because a virtual machine may stand still for half a second, which also fails requests.
+# is never answered, so the time-out of pymodbus decides nothing about collisions. It is long, as
+# are its pauses, because a process may get no processor for half a second: a slave's late answer
+# to mbtool would then meet the next request of pymodbus.
 
 from __future__ import annotations
 
@@ -39,8 +40,9 @@ if TYPE_CHECKING:
 FIRST, LAST = 10, 13
 """The registers that mbtool reads; those of the slave have 100 times their address."""
 RIGHT = [100 * at for at in range(FIRST, LAST + 1)]
-PAUSE_S, TIMEOUT_S = 0.4, 2.0
-"""The pause and the time-out of pymodbus."""
+_THIS = (sys.executable, "-m", "tests.end_to_end.between")
+TIMEOUT_S = 2.0
+"""The time-out of pymodbus."""
 
 
 class Failure(NamedTuple):
@@ -80,7 +82,7 @@ class Run(NamedTuple):
         return (failure.end_ns - before[-1]) / 1e9 if before else None
 
 
-def poll_for_ever(port: str) -> None:
+def poll_for_ever(port: str, pause_s: float) -> None:
     """Ask as pymodbus until standard input ends; print a row of JSON at each failure, and a sum."""
     client = ModbusSerialClient(port, baudrate=BAUD, timeout=TIMEOUT_S, retries=0)
     assert client.connect()
@@ -102,19 +104,19 @@ def poll_for_ever(port: str) -> None:
                     why = str(error)
                 if why:
                     failures.append(Failure(begin_ns, time.time_ns(), why))
-            time.sleep(PAUSE_S)
+            time.sleep(pause_s)
     sys.stdout.write(json.dumps([asked, failures]))
 
 
 @contextmanager
-def polled_line(folder: Path) -> Iterator[tuple[str, list[Master]]]:
+def polled_line(folder: Path, pause_s: float) -> Iterator[tuple[str, list[Master]]]:
     """A free port on a line that pymodbus polls, and at the end what pymodbus says."""
     told: list[Master] = []
     with ExitStack() as stack:
         line = stack.enter_context(api.line(f"rtu@{BAUD}-8N1", ends=3))
         stack.enter_context(libmodbus_server(folder, line.ports[1]))
         master = subprocess.Popen(
-            [sys.executable, "-m", "tests.end_to_end.between", "--poll", line.ports[0]],
+            [*_THIS, "--poll", line.ports[0], "--pause", str(pause_s)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -127,11 +129,11 @@ def polled_line(folder: Path) -> Iterator[tuple[str, list[Master]]]:
             told.append(Master(asked, [Failure(*one) for one in failures]))
 
 
-def run(folder: Path, requests: int, timeout_s: float) -> Run:
+def run(folder: Path, requests: int, timeout_s: float, pause_s: float) -> Run:
     folder.mkdir()
     words = ["--between", "--timeout", str(timeout_s), "--count", str(requests)]
     words += ["--every", "10ms", "--all", "--json"]
-    with polled_line(folder) as (link, beside), polled_line(folder) as (_, alone):  # noqa: SIM117
+    with polled_line(folder, pause_s) as (link, beside), polled_line(folder, pause_s) as (_, alone):  # noqa: SIM117
         with Program(MBTOOL, "poll", link, f"holding {FIRST}..{LAST}", *words) as ours:
             code = ours.wait(24 * 3600)
             rows = [json.loads(row) for row in ours.printed.text.splitlines()]
@@ -144,17 +146,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--requests", type=int, default=1000, help="of mbtool in each run")
-    parser.add_argument("--timeout", type=float, default=0.25, help="of mbtool, in seconds")
+    parser.add_argument("--timeout", type=float, default=0.8, help="of mbtool, in seconds")
+    parser.add_argument("--pause", type=float, default=1.0, help="of pymodbus, in seconds")
     parser.add_argument("--at-once", type=int, default=1, help="runs at the same time")
     parser.add_argument("--poll", metavar="PORT", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.poll:
-        poll_for_ever(given.poll)
+        poll_for_ever(given.poll, given.pause)
         return
     runs = []
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(given.at_once) as pool:
         folders = [Path(name) / str(number) for number in range(given.runs)]
-        for one in pool.map(lambda folder: run(folder, given.requests, given.timeout), folders):
+        for one in pool.map(
+            lambda folder: run(folder, given.requests, given.timeout, given.pause), folders
+        ):
             runs.append(one)
             _tell(len(runs), one)
     wrong = sum(one.wrong for one in runs)

@@ -48,7 +48,6 @@ _PYMODBUS_LINE = {
     **_PYMODBUS,
     "another unit": "got exception 04",
     "a read as broadcast": "got exception 04",
-    "a frame torn in two": "got 1 value",
 }
 _NO_ANSWER = "expected 1 value, got no answer"
 _JOINED = {
@@ -63,6 +62,7 @@ DEVIATIONS: dict[str, dict[str, str]] = {
     },
     "pymodbus-rtu": {
         **_PYMODBUS_LINE,
+        "a frame torn in two": "got 1 value",
         **dict.fromkeys(_UNKNOWN, "got no answer"),
         **_JOINED,
     },
