@@ -585,6 +585,9 @@ class SerialMaster(MasterLink):
     def _await_turn(self, unit: int, pdu: bytes) -> int:
         if self._other is None:
             return super()._await_turn(unit, pdu)
+        until_ns = time.monotonic_ns() + self._longest_turn_ns
+        while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
+            self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
         most_ns = self._other.longest_pause_ns
@@ -598,19 +601,22 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        until_ns = time.monotonic_ns() + self._longest_turn_ns
         while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
             if now_ns > until_ns:
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
                     f"{duration(self._longest_turn_ns)}; the request was not sent"
                 )
-            self._other.feed(*self.overhear(self.link.format.t3_5_ns), self._doubt_ns)
+            self._overhear_other()
             needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         self._turn_ends_ns = now_ns + rest_ns - needed_ns
         self._other.note_our_request()
         self._turns += 1
         return wait_ns
+
+    def _overhear_other(self) -> None:
+        assert self._other is not None
+        self._other.feed(*self.overhear(self.link.format.t3_5_ns), self._doubt_ns)
 
     def _is_turn(self) -> bool:
         if self._other is None:

@@ -213,6 +213,11 @@ class OtherMaster:
         """True if each poll was heard often enough to tell its period and its pause."""
         return bool(self.polls) and all(one.times > LEAST_SEEN for one in self.polls.values())
 
+    @property
+    def has_known_pauses(self) -> bool:
+        """True if the pause behind each poll was heard often enough to be relied on."""
+        return all(len(one.pauses) >= LEAST_SEEN for one in self.polls.values())
+
     def rest_ns(self, now_ns: int) -> int:
         """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
         tells.

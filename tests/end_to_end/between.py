@@ -131,7 +131,7 @@ def polled_line(folder: Path, pause_s: float) -> Iterator[tuple[str, list[Master
 
 def run(folder: Path, requests: int, timeout_s: float, pause_s: float) -> Run:
     folder.mkdir()
-    words = ["--between", "--timeout", str(timeout_s), "--count", str(requests)]
+    words = ["--between", "--listen", "30s", "--timeout", str(timeout_s), "--count", str(requests)]
     words += ["--every", "10ms", "--all", "--json"]
     with polled_line(folder, pause_s) as (link, beside), polled_line(folder, pause_s) as (_, alone):  # noqa: SIM117
         with Program(MBTOOL, "poll", link, f"holding {FIRST}..{LAST}", *words) as ours:
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--requests", type=int, default=1000, help="of mbtool in each run")
-    parser.add_argument("--timeout", type=float, default=0.8, help="of mbtool, in seconds")
+    parser.add_argument("--timeout", type=float, default=0.5, help="of mbtool, in seconds")
     parser.add_argument("--pause", type=float, default=1.0, help="of pymodbus, in seconds")
     parser.add_argument("--at-once", type=int, default=1, help="runs at the same time")
     parser.add_argument("--poll", metavar="PORT", help=argparse.SUPPRESS)
