@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MBTOOL = str(Path(sys.executable).with_name("mbtool"))
 NO_CAPTURES = {".md", ".json", ".py", ".csv", ".yaml", ".toml", ".html", ".zip", ".jsonl"}
 MAX_BYTES = 30_000_000
+_IPV6 = re.compile(r"\b[0-9a-f]{4}(?::{1,2}[0-9a-f]{1,4}){2,7}\b")
 LINE = ("--link", "rtu@9600-8N1")
 
 
@@ -82,7 +84,13 @@ def _told(path: Path, command: str, *options: str) -> Any:
         link["link"] = "LINK"
         link["connections"] = len(link.get("connections") or ())
     # A link of a file that has no names is called after the file, which has the same name here.
-    return _without_link(nameless(told), path.stem)
+    told = _without_link(nameless(told), path.stem)
+    told = json.loads(_IPV6.sub("ADDRESS", json.dumps(told)))
+    # Masters are in the order of their names, and so are findings of one time.
+    for rows in [told.get("findings"), *(one["masters"] for one in told.get("links", ()))]:
+        if rows:
+            rows.sort(key=json.dumps)
+    return told
 
 
 def _without_link(value: Any, name: str) -> Any:
