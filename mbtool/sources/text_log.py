@@ -98,6 +98,15 @@ class _Plan(NamedTuple):
     places: tuple[_BytesPlace, ...]
 
 
+class _Before(NamedTuple):
+    """What lines of one shape tell of the bytes in the lines behind them."""
+
+    has_bytes: bool
+    """True if they have bytes enough for a frame, so that their mark is of these."""
+    mark: Mark | None
+    time: Time | None
+
+
 class TextLog:
     """Reads the frames of one text file."""
 
@@ -109,7 +118,10 @@ class TextLog:
         self._connection = Connection(Endpoint(MASTER, 0), Endpoint(link, MODBUS_PORT))
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
-        self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
+        self._befores: dict[bytes, _Before] = {}
+        """What lines of each shape tell of lines behind them."""
+        self._recent: deque[tuple[bytes, bytes]] = deque(maxlen=LOOK_BACK)
+        """The last lines, and their shapes."""
         self._last_row: tuple[int, Label] | None = None
         """The number and the label of the last row of a dump."""
         self._last_mark: tuple[int, Mark | None] = 0, None
@@ -177,7 +189,7 @@ class TextLog:
                     plan = self._planned(line, shape)
                 if plan is not None:
                     yield from self._read(line, plan)
-                self._recent.append(line)
+                self._recent.append((line, shape))
         yield from self._frames.close()
 
     def _blocks(self) -> Iterator[list[bytes]]:
@@ -210,6 +222,7 @@ class TextLog:
         """Find what to read in lines of this shape; None if there is nothing."""
         if len(self._plans) >= MAX_SHAPES:
             self._plans.clear()
+            self._befores.clear()
         plan = None
         if _MAY_BE_BYTES.search(shape) is not None:
             plan = _plan(line, shape)
@@ -261,13 +274,15 @@ class TextLog:
         """Return the label and the time, each from the lines before if the line has none."""
         mark: Mark | None = label.mark
         row = self.lines
-        for line in reversed(self._recent):
+        for line, shape in reversed(self._recent):
             row -= 1
-            is_of_bytes = _has_bytes(self._plans.get(line.translate(SHAPE)))
-            if mark is None and not is_of_bytes:
-                mark = find_mark(line, is_strong=True)
-            if ts_ns is None and (time := find_time(line)) is not None:
-                ts_ns = self._ns(time, line)
+            before = self._befores.get(shape)
+            if before is None:
+                before = self._befores[shape] = _before(line, self._plans.get(shape))
+            is_of_bytes = before.has_bytes
+            mark = mark or before.mark
+            if ts_ns is None and before.time is not None:
+                ts_ns = self._ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines are of one object that has several.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -330,11 +345,12 @@ class TextLog:
         )
 
 
-def _has_bytes(plan: _Plan | None) -> bool:
-    """True if lines of this plan have bytes enough for a frame, so that their mark is of these."""
-    return plan is not None and any(
+def _before(line: bytes, plan: _Plan | None) -> _Before:
+    has_bytes = plan is not None and any(
         one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
     )
+    mark = None if has_bytes else find_mark(line, is_strong=True)
+    return _Before(has_bytes, mark, find_time(line))
 
 
 def _cleaned(lines: list[bytes]) -> list[bytes]:
