@@ -685,7 +685,8 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        self._doubt_ns = now_ns - at_ns if is_there else 0
+        # A process that gets no processor also sees bytes that came after its wait was over.
+        self._doubt_ns = now_ns - at_ns
         return data, at_ns
 
     def _has_bytes(self, wait_s: float) -> bool:

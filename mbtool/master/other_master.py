@@ -12,9 +12,9 @@
 # pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
 # whose time has come and that was not heard is awaited, as it may come at any moment.
 #
-# Bytes that a read finds at once may have come at any time since the read before. What is doubtful
-# by more than MOST_DOUBT_NS tells nothing of a pause or a period: on a busy machine pauses would
-# look far shorter than they are.
+# Bytes that a read finds at once may have come at any time since the read before, and those of a
+# process that had to wait for a processor at any time until it had one. What is doubtful by more
+# than MOST_DOUBT_NS tells nothing of a pause or a period: pauses would look far shorter.
 #
 # If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
 # noted, too.
