@@ -658,9 +658,9 @@ class SerialMaster(MasterLink):
             return
         if isinstance(event, Adu):
             if event.unit != self._pending[1]:
-                self._other.note_intrusion(event.start_ns)
+                self._other.note_intrusion(event.start_ns, self._doubt_ns)
         elif len(event.raw) >= FEW_BYTES:
-            self._other.note_intrusion(event.ts_ns)
+            self._other.note_intrusion(event.ts_ns, self._doubt_ns)
 
     def _on_line_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with

@@ -264,13 +264,14 @@ class OtherMaster:
         self._used = self._answered
         self._answered = self._asked = None
 
-    def note_intrusion(self, at_ns: int) -> None:
-        """Note that somebody else began to speak at `at_ns`, while our request was pending: the
-        pause was shorter than it seemed.
+    def note_intrusion(self, at_ns: int, doubt_ns: int = 0) -> None:
+        """Note that somebody else began to speak at `at_ns`, or at most `doubt_ns` ns later, while
+        our request was pending: the pause was shorter than it seemed.
         """
         if self._used is not None:
             poll, end_ns = self._used
-            poll.pauses.append(max(at_ns - end_ns, 0))
+            if doubt_ns <= MOST_DOUBT_NS:
+                poll.pauses.append(max(at_ns - end_ns, 0))
             self._used = None
         self.listen_anew(at_ns)
 

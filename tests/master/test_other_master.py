@@ -182,6 +182,11 @@ def test_bytes_of_others_beside_our_request_shorten_the_pause() -> None:
     other, now_ns = heard(link, 6)
     assert other.longest_pause_ns > 300 * MS
     other.note_our_request()
+    other.note_intrusion(now_ns + 110 * MS, 250 * MS)  # A busy machine read them late.
+    assert other.longest_pause_ns > 300 * MS
+    now_ns = frames(other, link, now_ns + 420 * MS, (READ_1, 0), (ANSWER_1, 5), (READ_2, 20),
+                    (ANSWER_2, 8))  # fmt: skip
+    other.note_our_request()
     other.note_intrusion(now_ns + 120 * MS)
     assert other.longest_pause_ns == pytest.approx(0.9 * 120 * MS)
     assert other.rest_ns(now_ns + 130 * MS) == 0
