@@ -79,8 +79,12 @@ class HeardPoll:
     longest_latency_ns: int = 0
     pauses: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
     """The last silences heard between the end of its response and the next request."""
+    periods: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
+    """The last times between two of these requests."""
     shortest_period_ns: int = 0
-    """The shortest time between two of these requests; 0 if it was heard once."""
+    """The shortest of them; 0 if the request was heard once."""
+    usual_period_ns: int = 0
+    """Their median."""
     longest_period_ns: int = 0
     is_followed: bool = True
     """True if nothing on the line was missed since the last of these requests."""
@@ -88,9 +92,10 @@ class HeardPoll:
     def note_request(self, at_ns: int) -> None:
         """Note that the request was heard again, and ended at the time `at_ns`."""
         if self.times and self.is_followed:
-            period_ns = at_ns - self.last_ns
-            self.shortest_period_ns = min(self.shortest_period_ns or period_ns, period_ns)
-            self.longest_period_ns = max(self.longest_period_ns, period_ns)
+            self.periods.append(at_ns - self.last_ns)
+            ordered = sorted(self.periods)
+            self.shortest_period_ns, self.longest_period_ns = ordered[0], ordered[-1]
+            self.usual_period_ns = ordered[len(ordered) // 2]
         self.times += 1
         self.last_ns, self.is_followed = at_ns, True
 
@@ -103,12 +108,16 @@ class HeardPoll:
     def due_ns(self) -> int | None:
         """The earliest time at which the request should begin again; None if it has no steady
         period.
+
+        Its periods have been shorter than usual by some time, and may be by twice that. A request
+        that came late may be followed by one at its proper time.
         """
-        spread_ns = self.longest_period_ns - self.shortest_period_ns
-        if 2 * spread_ns >= self.shortest_period_ns:
+        early_ns = self.usual_period_ns - self.shortest_period_ns
+        if not self.periods or 2 * early_ns >= self.shortest_period_ns:
             return None
         begun_ns = self.last_ns - (self.request.end_ns - self.request.start_ns)
-        return begun_ns + self.shortest_period_ns - spread_ns
+        late_ns = max(self.periods[-1] - self.usual_period_ns, 0)
+        return begun_ns + self.shortest_period_ns - early_ns - late_ns
 
     def note_latency(self, latency_ns: int) -> None:
         self.longest_latency_ns = max(self.longest_latency_ns, latency_ns)
