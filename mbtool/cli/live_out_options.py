@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LiveOutOptions(OptionGroup):
-    """The options --mqtt, --metrics and --on."""
+    """The options --mqtt, --metrics, --on and --keep-around."""
 
     heading: ClassVar[str] = "Live out"
 
@@ -47,6 +47,15 @@ class LiveOutOptions(OptionGroup):
             "'UNIT-MISSING=...'. Repeatable.",
         ),
     ] = None
+    keep_around: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--keep-around",
+            metavar="CODE",
+            help="With --keep: keep for good the files around each case of a trouble whose code "
+            "begins so, as NAME-0012-kept.mcap: the one before, its own, the next. Repeatable.",
+        ),
+    ] = None
 
     def open(self, on_remark: Callable[[str], None]) -> LiveOut:
         """Return what the options ask for, not yet entered.
@@ -68,4 +77,4 @@ class LiveOutOptions(OptionGroup):
         if self.mqtt is not None:
             publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
         server = None if self.metrics is None else MetricsServer(parse_place(self.metrics))
-        return LiveOut(publisher, server, commands, on_remark)
+        return LiveOut(publisher, server, commands, on_remark, self.keep_around or ())

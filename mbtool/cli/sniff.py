@@ -166,6 +166,11 @@ def sniff(
         raise UsageError("--service needs a log in parts: name it with -w FILE.mcap --rotate 1h")
     if keep is not None and rotate is None:
         raise UsageError("--keep needs a log of several files: name its limit with --rotate 1h")
+    if live_out.keep_around and keep is None:
+        raise UsageError(
+            "--keep-around is about files that are removed: name how many are kept "
+            "with --rotate 10m --keep 3"
+        )
     if evidence_only and write is None:
         raise UsageError("--evidence-only needs a log to leave things out of: -w FILE.mcap")
     if evidence_only and topic_per_point:
@@ -201,6 +206,8 @@ def sniff(
             on_full=lambda text: say(f"mbtool: {text}"),
             **tcp_ports._asdict(),
         )
+        if live_out.keep_around:
+            created = partial(told.keep_files_of, created)
         if topic_per_point:
             created = partial(with_point_topics, created)
         kept: Callable[[], StatusLog] = created
