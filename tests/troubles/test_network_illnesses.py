@@ -20,7 +20,8 @@ from tests.ledger.masters import MS, START_NS
 from tests.ledger.requests import request, unanswered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.troubles.judge import Judgement
@@ -87,6 +88,36 @@ def test_a_unit_that_holds_up_the_line_of_a_gateway_is_the_cause() -> None:
     assert (trouble.unit, trouble.victims, trouble.count) == (3, (2,), 12)
     assert "UNIT-MISSING" not in serious(told)
     assert ("UNIT-SILENT", 3) in [(one.code, one.unit) for one in told.troubles]
+
+
+def test_each_time_names_the_unit_whose_answer_the_others_wait_for() -> None:
+    records: list[Any] = []
+    for at in range(120):
+        start_ms = 2000 * at
+        silent, other = (3, 2) if at < 50 else (2, 3)
+        if at % 5 or 40 <= at < 70:
+            records += [asked(start_ms + 90 * unit, unit=unit, latency_ms=60) for unit in (1, 2, 3)]
+            continue
+        records += [
+            missing(start_ms, unit=silent),
+            asked(start_ms + 50, unit=other, latency_ms=1100),
+            asked(start_ms + 700, unit=1, latency_ms=520, master="10.0.0.9"),
+            asked(start_ms + 750, 8, unit=other, latency_ms=540, master="10.0.0.8"),
+        ]
+    told = [one for one in judged(records).troubles if one.code == "NET-BLOCKED"]
+    assert {(one.unit, one.victims) for one in told} == {(3, (1, 2)), (2, (1, 3))}
+    first, second = sorted(told, key=lambda one: one.evidence[0].ts_ns)
+    assert (first.since_ns, second.until_ns) == (None, None)
+    assert first.until_ns is not None
+    assert second.since_ns is not None
+    assert first.until_ns < second.since_ns
+    assert "holds up the line behind its gateway for 1.15 s each time" in first.cause
+
+
+def test_what_is_answered_before_a_slow_request_did_not_wait_for_it() -> None:
+    records = [asked(3000 * at, unit=1, latency_ms=2000) for at in range(40)]
+    records += [asked(3000 * at + 500, unit=2, latency_ms=400) for at in range(40)]
+    assert "NET-BLOCKED" not in [one.code for one in judged(records).troubles]
 
 
 def test_two_units_that_are_slow_by_themselves_block_nobody() -> None:
@@ -316,7 +347,22 @@ def test_illnesses_in_captures_of_others_are_named(name: str, code: str) -> None
     path = public_folder() / name
     if not path.exists():
         pytest.skip("no captures of others")
+    assert code in [one.code for one in troubles_of(path)]
+
+
+def troubles_of(path: Path) -> Sequence[Trouble]:
     run = CheckRun([str(path)], ReadingOptions())
     for _ in run.findings():
         pass
-    assert code in [one.code for one in run.judgement().troubles]
+    return run.judgement().troubles
+
+
+@pytest.mark.public_captures
+def test_each_unit_that_holds_up_a_real_gateway_is_named_with_its_time() -> None:
+    path = public_folder() / "ITI__ICS-Security-Tools/Modbus__modbus_test.pcap"
+    if not path.exists():
+        pytest.skip("no captures of others")
+    told = [one for one in troubles_of(path) if one.code == "NET-BLOCKED"]
+    assert sorted((one.unit, one.when) for one in told) == [
+        (2, " since 14:13:26"), (3, " from 14:12:38 to 14:13:11"),
+    ]  # fmt: skip
