@@ -23,7 +23,7 @@ from mbtool.ledger.request_tally import merged
 from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
-from mbtool.troubles.cases import FailedCases
+from mbtool.troubles.cases import Cases
 from mbtool.troubles.failure_limits import is_grave
 from mbtool.troubles.line_senses import line_senses
 from mbtool.troubles.network_senses import network_senses
@@ -132,8 +132,8 @@ class Judge:
         """Sentences for the user that are no findings; those of a capture are there when it
         ended."""
         self._context = context or CaptureContext()
-        self._cases = FailedCases()
-        of_lines, of_networks = line_senses(self._context), network_senses(self._context)
+        self._cases = Cases()
+        of_lines, of_networks = line_senses(self._context), network_senses(self._cases)
         self._of_lines = (self._cases, *of_lines)
         """The senses that take the transactions of serial lines."""
         self._of_networks = (self._cases, *of_networks)
@@ -212,12 +212,14 @@ class Judge:
         """Judge all records so far. `links` is the account of each link, if the caller has it."""
         links = report(self.ledger) if links is None else links
         found = [trouble for sense in self._senses for trouble in sense.troubles(links)]
-        found += self._cases.proved(unit_troubles(links))
-        found += polling_troubles(links)
+        found += unit_troubles(links, self._cases)
+        found += polling_troubles(links, self._cases)
         found += _stray_frames(links)
         found += rule_troubles(self.findings)
         several = len(links) > 1
-        named = [replace(one, names_link=several) for one in _unexplained(found)]
+        named = [
+            replace(one, names_link=several) for one in self._cases.proved(_unexplained(found))
+        ]
         return Judgement(_in_order(_joined(named)), links)
 
 

@@ -179,8 +179,8 @@ _ROWS = (
     ),
     Words(
         "NET-LOSSY", _W,
-        "{count} of {of} messages between {who} and {link} are sent again: packets are "
-        "lost on the way, or acknowledged too late",
+        "{count} of {of} messages between {who} and {link} are sent again{held}: packets "
+        "are lost on the way, or acknowledged too late",
         "look at cables, radio links and the counters of errors of each switch port on the way "
         "(a wrong duplex mode loses packets under load, too)",
         "link", "{count} messages sent again", ("POLL-LATE",),

@@ -28,6 +28,13 @@ if TYPE_CHECKING:
     from mbtool.troubles.trouble import Trouble
 
 MASTER, SLAVE = "10.0.0.1", "10.0.0.2"
+CAPTURES = sorted(
+    path
+    for path in public_folder().rglob("*")
+    if path.name.endswith((".pcap", ".pcapng", ".gz", ".sr"))
+    and path.stat().st_size <= 1_500_000
+    and "cutfile" not in path.name
+)
 
 
 def on(*, master: str = MASTER, slave: str = SLAVE, **fields: Any) -> dict[str, Any]:
@@ -145,7 +152,9 @@ def test_a_master_that_pipelines_gives_nothing_up() -> None:
 
 def test_polls_that_wait_for_a_delayed_acknowledgement_are_a_note() -> None:
     records = [asked(500 * at, latency_ms=3) for at in range(60)]
-    records += [asked(500 * at + 200, 9, latency_ms=200 + at % 3) for at in range(30)]
+    records += [
+        asked(500 * at + 200, 9, latency_ms=200 + at % 3 if at % 10 else 20) for at in range(30)
+    ]
     trouble = of_code(judged(records), "NET-DELAYED-ACK")
     assert trouble.severity is Severity.NOTE
     assert trouble.cause.startswith("1 poll of unit 1 takes 2")
@@ -224,6 +233,14 @@ def test_a_path_that_loses_packets_is_told() -> None:
     trouble = of_code(judged(records), "NET-LOSSY")
     assert (trouble.count, trouble.of, trouble.severity) == (20, 200, Severity.WARNING)
     assert trouble.cause.startswith(f"20 of 200 messages between {MASTER} and {SLAVE} are sent")
+
+
+def test_a_single_loss_that_holds_answers_up_is_a_note() -> None:
+    records: list[Any] = [asked(500 * at) for at in range(60)]
+    records[20:20] = [sent_again(10_300), sent_again(11_500), asked(10_010, 9, latency_ms=3700)]
+    trouble = of_code(judged(records), "NET-LOSSY")
+    assert (trouble.count, trouble.severity, len(trouble.evidence)) == (2, Severity.NOTE, 2)
+    assert "are sent again, an answer took 3.70 s then" in trouble.cause
 
 
 def test_what_is_sent_again_to_a_dead_host_is_no_loss() -> None:
@@ -348,6 +365,25 @@ def test_illnesses_in_captures_of_others_are_named(name: str, code: str) -> None
     if not path.exists():
         pytest.skip("no captures of others")
     assert code in [one.code for one in troubles_of(path)]
+
+
+@pytest.mark.public_captures
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name)
+def test_each_trouble_of_captures_of_others_has_evidence(path: Path) -> None:
+    told = [one for trouble in troubles_of(path) for one in trouble.all]
+    assert [(one.code, one.who) for one in told if not one.evidence] == []
+
+
+def test_figures_come_with_the_transactions_that_they_count() -> None:
+    records: list[Any] = [asked(500 * at, unit=unit) for at in range(60) for unit in (1, 2, 3)]
+    records[90:90] = [asked(15_100, latency_ms=400), asked(15_600, latency_ms=150)]
+    records += [asked(500 * at + 50, unit=4, latency_ms=90 + at) for at in range(30)]
+    late = of_code(judged(records), "POLL-LATE")
+    assert [one.text for one in late.evidence] == ["answered after 400 ms", "answered after 150 ms"]
+    slow = of_code(judged(records), "UNIT-SLOW")
+    assert [one.text for one in slow.evidence[-2:]] == [
+        "answered after 118 ms", "answered after 119 ms",
+    ]  # fmt: skip
 
 
 def troubles_of(path: Path) -> Sequence[Trouble]:

@@ -84,6 +84,7 @@ def compare(path: Path) -> None:
     for _ in check.findings():
         pass
     told = check.judgement()
+    assert all(one.evidence for trouble in told.troubles for one in trouble.all)
     lines = [line.text for line in statistics_lines(told, width=None)]
     for line in trouble_lines(told):
         assert line.text in lines or not told.links
