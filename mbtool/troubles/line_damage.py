@@ -14,7 +14,7 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   nothing on the line in between, and sooner than by the time-out that requests
 #                   without an answer usually wait for: no master does that. Or the decoder says
 #                   so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one master can
-#                   keep two lists.
+#                   keep two lists. Where two masters are proved, they tell which one asks what.
 # LINE-SAME-UNIT    Two slaves answer one request. Nearly all damage of the line is in the unit's
 #                   answers or right behind them, at most of its answers, while other units answer
 #                   well; and there are more bytes than asked for, which neither noise nor lost
@@ -42,7 +42,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import counted, percent
+from mbtool.core.wording import counted, duration, percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import crc
@@ -51,9 +51,10 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
-    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.statistics_report import LinkReport, PollReport
 
 ENOUGH = 3
 ENOUGH_MERGED = 2
@@ -79,6 +80,10 @@ LEAST_BYTES = 4
 """Shorter pieces are no frame of anybody."""
 SECOND_NS = 200_000_000
 """A second response to one request comes at most so long (ns) after the first."""
+EVEN = 0.1
+"""Periods of one master's polls differ by at most this share (0 to 1)."""
+ENOUGH_PERIODS = 5
+MOST_NAMED = 4
 HELD = 32
 KNOWN = 64
 POLLED = 2
@@ -318,10 +323,10 @@ class LineDamage(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _of_line(link.name, line)
+                yield from _of_line(link.name, line, link.polls)
 
 
-def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
+def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
@@ -330,6 +335,7 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
+            figures={"polls": _polls_of_two([one.poll for one in polls])},
             sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,
             evidence=tuple(line.masters_cases),
         )  # fmt: skip
@@ -366,6 +372,52 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
         else {"where": where, "percent": "all"},
         evidence=tuple(sorted(cases, key=lambda case: case.ts_ns)[:MAX_EVIDENCE]),
     )
+
+
+def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
+    """Say which of two masters asks what, by the periods of their polls; empty if the polls have
+    not exactly two periods. A period that is a multiple of the other one may be the same master's.
+    """
+    groups: list[tuple[int, list[PollStatistics]]] = []
+    for poll in sorted(polls, key=lambda one: one.period.percentile(50)):
+        period, usual_ns = poll.period, poll.period.percentile(50)
+        near = period.number_from(round((1 - EVEN) * usual_ns))
+        near -= period.number_from(round((1 + EVEN) * usual_ns))
+        if period.count < ENOUGH_PERIODS or near < ALIKE * period.count:
+            continue
+        if groups and usual_ns <= (1 + EVEN) * groups[-1][0]:
+            groups[-1][1].append(poll)
+        else:
+            groups.append((usual_ns, [poll]))
+    if len(groups) != 2:
+        return ""
+    (first_ns, first), (second_ns, second) = groups
+    times = second_ns / first_ns
+    if abs(times - round(times)) <= EVEN * times:
+        return ""
+    both = {one.key.unit for one in first} & {one.key.unit for one in second}
+    return (
+        f"; one asks {_asked_text(first, both)} every {_rounded(first_ns)}, "
+        f"the other {_asked_text(second, both)} every {_rounded(second_ns)}"
+    )
+
+
+def _rounded(ns: int) -> str:
+    """Write a period with two digits, as an adapter makes times coarse."""
+    return duration(round(ns, 2 - len(str(ns))))
+
+
+def _asked_text(polls: Sequence[PollStatistics], both: Collection[int]) -> str:
+    """Name the units that one of two masters asks, with the registers of those that both ask."""
+    in_order = sorted(polls, key=lambda one: (one.key.unit, one.number))
+    names = [
+        f"unit {one.key.unit} ({one.reference})" if one.key.unit in both else f"unit {one.key.unit}"
+        for one in in_order
+    ]
+    different = [*dict.fromkeys(names)]
+    more = len(different) - MOST_NAMED
+    some = different[:MOST_NAMED] + ([f"{more} more"] if more > 0 else [])
+    return " and ".join([", ".join(some[:-1]), some[-1]] if len(some) > 1 else some)
 
 
 def _how_double(unit: _DamagedUnit) -> str:

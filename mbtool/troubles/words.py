@@ -59,7 +59,8 @@ _ROWS = (
     ),
     Words(
         "LINE-TWO-MASTERS", _E,
-        "two masters share {link}: their requests collide or interrupt each other ({count} times)",
+        "two masters share {link}: their requests collide or interrupt each other ({count} times)"
+        "{polls}",
         "let one master poll for both, or put a gateway between them and the line, which takes "
         "their requests in turn",
         "line", "two masters",

@@ -116,6 +116,21 @@ def test_two_masters_are_told_by_their_collisions(timing: str) -> None:
     other = Plant(units=(1, 3), latency={1: 8, 3: 30}, cycle=700, begin=333, seed=2)
     told = judged([*one.run(60), *other.run(60)], timing)
     assert worst(told).code == "LINE-TWO-MASTERS"
+    assert worst(told).cause.endswith("one asks unit 3 every 700 ms, the other unit 2 every 1.00 s")
+
+
+@every_timing
+def test_of_two_masters_is_told_which_asks_what(timing: str) -> None:
+    one = Plant(units=(1, 2), latency={1: 8, 2: 12}, cycle=1000)
+    other = Plant(units=(2, 4), latency={2: 9, 4: 30}, cycle=700, begin=333, seed=2, quantity=6)
+    told = worst(judged([*one.run(60), *other.run(60)], timing))
+    assert told.cause.endswith(
+        "one asks unit 2 (holding 32..37) and unit 4 every 700 ms, the other unit 1 and unit 2 "
+        "(holding 32..35) every 1.00 s"
+    )
+    same = Plant(units=(3, 4), latency={3: 8, 4: 30}, cycle=1000, begin=5, seed=2)
+    told = worst(judged([*one.run(60), *same.run(60)], timing))
+    assert (told.code, "one asks" in told.cause) == ("LINE-TWO-MASTERS", False)
 
 
 @every_timing
@@ -183,6 +198,19 @@ def test_a_constant_byte_beside_frames_is_missing_bias(
         )
     if timing == EXACT and of == "all":
         assert trouble.cause.endswith("the idle line floats, as bias is missing")
+
+
+def test_the_units_beside_whose_answers_a_constant_byte_stands_are_named() -> None:
+    frames = [
+        new
+        for one in well()
+        for new in (stray([one], 0, ahead=True, of="answers") if one.data[0] == 2 else [one])
+    ]
+    trouble = worst(judged(frames))
+    assert trouble.code == "LINE-BIAS"
+    assert "stands before answers of unit 2 (" in trouble.cause
+    assert ": the driver of unit 2 is switched on too early" in trouble.cause
+    assert trouble.remedy.startswith("look at how the driver of unit 2 is switched")
 
 
 @every_timing
