@@ -110,6 +110,9 @@ class _DamagedUnit:
     """The number of second responses to one request."""
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
+    before: Counter[int] = field(default_factory=Counter)
+    """By unit, how often it was asked right before a request whose answer is damaged or has damaged
+    bytes behind it."""
     in_wakes: int = 0
     """The number of damaged frames after a request to another unit that was not answered in time,
     and whose late answer may have done it."""
@@ -288,6 +291,8 @@ class LineDamage(SortedSense):
         before = line.before
         if before is not None and before.outcome in _NOT_IN_TIME:
             unit.in_wakes += bool(answer)
+        elif before is not None and answer and last.start_ns - before.start_ns <= SECOND_NS:
+            unit.before[before.unit] += 1
         if last.outcome is not Outcome.NO_ANSWER:
             line.elsewhere += len(answer)
             unit.after += len(answer) if last.outcome is Outcome.OK else 0
@@ -327,7 +332,9 @@ class LineDamage(SortedSense):
 
 
 def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
-    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
+    doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
+    if not doubles:
+        doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
     is_told = line.is_told and not doubles
@@ -345,8 +352,11 @@ def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iter
         count = max(unit.seconds, unit.damaged, unit.after)
         yield Trouble(
             code="LINE-SAME-UNIT", link=link, unit=number, count=count,
-            of=max(unit.asked, count), weight=count, victims=tuple(line.units),
-            figures={"how": _how_double(unit)},
+            of=max(unit.asked, count), weight=count,
+            victims=tuple(
+                each for each, other in line.units.items() if other.answered or each == number
+            ),
+            figures={"how": _how_double(unit), "other": _other_double(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -432,10 +442,17 @@ def _how_double(unit: _DamagedUnit) -> str:
     return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
 
 
+def _other_double(unit: _DamagedUnit, count: int) -> str:
+    """Name the unit that is asked right before in most cases, whose second answer may be what
+    collides.
+    """
+    before, number = unit.before.most_common(1)[0] if unit.before else (0, 0)
+    is_likely = unit.seconds < ENOUGH and number >= MOSTLY * count
+    return f", or as unit {before}, which is asked right before it" if is_likely else ""
+
+
 def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
-    """True if two slaves answer to a unit."""
-    if unit.seconds >= ENOUGH:
-        return True
+    """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds
     if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):

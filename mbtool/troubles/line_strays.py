@@ -309,7 +309,7 @@ def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
         whole = not line.answered
         when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
         yield Trouble(
-            code="LINE-SETTINGS", link=link, count=one.pieces,
+            code="LINE-SETTINGS", link=link, count=one.pieces, of=one.pieces + line.frames,
             since_ns=None if whole else one.first.ts_ns,
             until_ns=None if whole or one is line.stretch else one.last_ns,
             figures={"bytes": f"{one.size:,}", "when": when},

@@ -64,16 +64,16 @@ _ROWS = (
         "let one master poll for both, or put a gateway between them and the line, which takes "
         "their requests in turn",
         "line", "two masters",
-        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401", "MB-402",
-         "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401",
+         "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-SAME-UNIT", _E,
-        "two slaves answer as {who}: {count} of {of} answers collide or come twice ({how})",
+        "two slaves answer as {who}{other}: {count} of {of} answers collide or come twice ({how})",
         "give one of them another address; to find it, take them off the line one by one",
         "unit", "two slaves with this address",
-        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", *_BLAMED,
-         *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-102", "MB-104", "MB-106",
+         "MB-401", "MB-402", "MB-403", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-LATE", _E,
@@ -113,7 +113,7 @@ _ROWS = (
         "find the device that talks another protocol on these wires, and give it a line of its own",
         "line", "another protocol",
         ("RTU-201", "RTU-202", "RTU-204", "MB-403", "LINE-NOISE", "LINE-LOST-BYTES",
-         "LINE-SAME-UNIT", *_BLAMED, *_DAMAGED),
+         "LINE-SAME-UNIT", "UNIT-MISSING", *_DAMAGED),
     ),
     Words(
         "LINE-REPEATED", _W,

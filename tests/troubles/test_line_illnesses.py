@@ -17,6 +17,8 @@ from tests.troubles.lines import (
     FTDI,
     LINE,
     MS,
+    POLLED,
+    START_NS,
     TIMINGS,
     Plant,
     Sent,
@@ -108,6 +110,50 @@ def test_a_late_unit_is_told_with_its_latency_and_the_masters_time_out() -> None
         "too late: "
         "raise the master's time-out above "
     )
+
+
+def test_a_single_late_answer_is_a_note() -> None:
+    def answer(plant: Plant, request: Sent, unit: int, pdu: bytes) -> list[Sent]:
+        del pdu
+        at_ns = request.end_ns(LINE) + round(QUICK[unit] * MS)
+        if unit == 2 and 20_000 * MS < request.at_ns - START_NS < 21_000 * MS:
+            at_ns += 700 * MS
+        return [Sent(at_ns, rtu_adu(unit, values_pdu(plant.random, plant.quantity)))]
+
+    told = judged(Plant(latency=QUICK, respond=answer).run(60))
+    assert [(one.code, one.unit, one.severity) for one in told.troubles] == [
+        ("LINE-LATE", 2, Severity.NOTE)
+    ]
+    assert ": 1 of 60 answers come too late" in told.troubles[0].cause
+
+
+def test_a_dead_unit_is_told_beside_two_slaves_with_one_address() -> None:
+    plant = TwoSlaves(units=(4, 1, 2), latency={1: 8, 2: 12, 4: 5}, other=16)
+
+    def answer(_: Plant, request: Sent, unit: int, pdu: bytes) -> list[Sent]:
+        return [] if unit == 4 else plant.both(plant, request, unit, pdu)
+
+    plant.respond = answer
+    told = judged(plant.run(60), POLLED)
+    assert [(one.code, one.unit) for one in told.troubles] == [
+        ("LINE-SAME-UNIT", 2), ("UNIT-SILENT", 4),
+    ]  # fmt: skip
+
+
+def test_the_unit_asked_before_is_told_if_its_second_answer_may_be_what_collides() -> None:
+    plant = TwoSlaves(units=(4, 2, 1), latency={1: 8, 2: 12, 4: 5}, other=40)
+    plant.respond = plant.both
+    told = worst(judged(plant.run(60), POLLED))
+    assert told.code == "LINE-SAME-UNIT"
+    assert told.unit == 2 or "or as unit 2, which is asked right before it: " in told.cause
+
+
+@every_timing
+def test_a_dead_unit_is_told_beside_two_masters(timing: str) -> None:
+    one = Plant(units=(1, 2, 5), latency={1: 8, 2: 12}, cycle=1000)
+    other = Plant(units=(1, 3), latency={1: 8, 3: 30}, cycle=700, begin=333, seed=2)
+    told = judged([*one.run(60), *other.run(60)], timing)
+    assert ("UNIT-SILENT", 5) in [(one.code, one.unit) for one in told.troubles]
 
 
 @every_timing
