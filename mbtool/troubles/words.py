@@ -81,8 +81,8 @@ _ROWS = (
         "answers come too late",
         "raise the master's time-out above {longest}, or ask for less in one request",
         "unit", "{count} answers after the time-out",
-        ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
-         "LINE-SAME-UNIT", "LINE-NOISE", "LINE-LOST-BYTES", *_BLAMED, *_DAMAGED),
+        ("RTU-103", "RTU-202", "MB-104", "MB-106", "MB-401", "MB-402", "MB-403", "POLL-LATE",
+         "UNIT-SLOW", "LINE-SAME-UNIT", "LINE-NOISE", "LINE-LOST-BYTES", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-LOST-BYTES", _W,
