@@ -55,7 +55,8 @@ _ROWS = (
         "listen also where the {lacking} are: the other pair of a four-wire line, the other port, "
         "or in front of the converter",
         "line", "only {side} heard",
-        ("RTU-101", "RTU-102", "RTU-103", "RTU-104", "MB-401", "MB-403", *_BLAMED, *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-104", "RTU-202", "MB-202", "MB-401", "MB-403",
+         *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-TWO-MASTERS", _E,
@@ -119,7 +120,7 @@ _ROWS = (
         "LINE-REPEATED", _W,
         "frames come twice at {link}: {count} of {of} responses are copies of the one before",
         "look for a repeater, a converter or a second tap that sends or records each frame again",
-        "line", "frames twice", ("MB-403", "RTU-103", "LINE-ECHO", *_BLAMED),
+        "line", "frames twice", ("MB-403", "RTU-103", "LINE-ECHO", "UNIT-MISSING"),
     ),
     Words(
         "LINE-ECHO", _N,
