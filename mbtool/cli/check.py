@@ -339,17 +339,15 @@ def _sum_up(run: CheckRun, path: str | None) -> None:
 def _sentence(run: CheckRun) -> str:
     """Sum up a run: `14 findings of 3 codes in 8,120 transactions; docs/findings.md ...`."""
     from mbtool.core.wording import counted
-    from mbtool.devices.checking.rules import Severity
     from mbtool.troubles.words import WORDS
 
     judgement = run.judgement()
     number, codes = run.counts.total(), len(run.counts)
     transactions = counted(run.transactions, "transaction")
-    severities = [one.severity for one in judgement.troubles if one.code in WORDS]
-    troubles, notes = len(severities), severities.count(Severity.NOTE)
+    troubles = sum(one.code in WORDS for one in judgement.troubles)
     parts = [counted(troubles, "trouble", ",")] if troubles else []
-    if notes:
-        parts[0] += f" ({counted(notes, 'note', ',')}, without effect on the exit code)"
+    if troubles and not run.is_anything_wrong:
+        parts[0] += " of severity note (exit code 0)"
     if number:
         of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
         parts.append(f"{counted(number, 'finding')}{of_codes}")

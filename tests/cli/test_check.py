@@ -75,7 +75,7 @@ def test_notes_are_said_to_leave_the_exit_code(capsys: pytest.CaptureFixture[str
         pytest.skip("no captures of others")
     assert run(["check", str(path)]) == exit_codes.DONE
     assert capsys.readouterr().err.startswith(
-        "1 trouble (1 note, without effect on the exit code) in 1 transaction;"
+        "1 trouble of severity note (exit code 0) in 1 transaction;"
     )
 
 
