@@ -21,7 +21,7 @@ from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
 from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
 from mbtool.troubles.refusals import always_refused, joint_refusals
-from mbtool.troubles.slow_units import are_many
+from mbtool.troubles.slow_units import GRAVE_NS, are_many
 from mbtool.troubles.slower_units import slow_and_slower_units
 from mbtool.troubles.trouble import Trouble, moment_text
 
@@ -226,12 +226,13 @@ def _slow(units: dict[tuple[str, int], _JudgedUnit], cases: Cases) -> Iterator[T
         {key: unit.tally.latency for key, unit in units.items()},
         {key: unit.times for key, unit in units.items() if unit.times is not None},
     )
-    small = are_many(len(slow), len(units))
+    are_of_kind = are_many(len(slow), len(units))
     for key, usual in slow.items():
         unit, own = units[key], units[key].tally.latency.percentile(50)
         yield Trouble(
             code="UNIT-SLOW", link=unit.link, unit=unit.number, count=unit.tally.latency.count // 2,
-            of=unit.tally.latency.count, weight=own / usual, is_small=small,
+            of=unit.tally.latency.count, weight=own / usual,
+            is_small=are_of_kind or own < GRAVE_NS,
             figures={"median": _ms(own), "usual": _ms(usual)},
             evidence=cases.slowest(unit.polls),
         )  # fmt: skip
