@@ -79,7 +79,9 @@ RETURN_SHARE = 0.2
 WAY = 4
 """A number that moves slowly goes over a range of so many of its largest usual steps."""
 BESIDE = 3
-"""Another number jumps too if its step at that time is so many times its third largest one."""
+MOST_BESIDE = 2
+"""Another number jumps too if its step at that time is so many times larger than all of its steps
+but MOST_BESIDE."""
 SELDOM = 50
 """A number that changes once or twice jumps too if it changes in less than one of so many
 answers."""
@@ -433,7 +435,7 @@ def _goes_on_at_zero(value: FollowedValue, step: Step, mean: float) -> bool:
     is_float = value.reading.type in (PointType.FLOAT32, PointType.FLOAT64)
     return not is_float and any(
         modulus - reach <= step.before < modulus + (step.after >= 1)
-        and (step.after - step.before) % modulus <= reach
+        and (step.after - step.before) % modulus <= reach < modulus / 2
         for modulus in _MODULI
     )
 
@@ -464,9 +466,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     if any(_goes_on_at_zero(value, one, mean) for one in jumps):
         return None
     is_slow = len(jumps) == 1 and _is_slow(movements, place, jump.size, usual)
-    if not (_return(jumps) or is_slow) or any(
-        _jumps_beside(movements, place, one) for one in jumps
-    ):
+    if not (_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
         return None
     return _Case(
         "VALUE-JUMPED", value, jump.at_ns,
@@ -493,15 +493,17 @@ def _is_slow(movements: Movements, place: int, jump: float, usual: float) -> boo
     return width - jump >= WAY * usual
 
 
-def _jumps_beside(movements: Movements, place: int, jump: Step) -> bool:
-    """True if another value of the same answers jumps at the same time."""
+def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Step]) -> bool:
+    """True if another value of the same answers jumps at the same times."""
+    reach = len(jumps) == 1
     for other in range(len(movements.values)):
         steps = movements.steps(other) if other != place else []
-        if len(steps) > 2:
-            steps = [one for one in steps[:2] if one.size > BESIDE * steps[2].size]
+        if len(steps) > MOST_BESIDE:
+            steps = [one for one in steps if one.size > BESIDE * steps[MOST_BESIDE].size]
         elif len(steps) * SELDOM > movements.rows:
             continue
-        if any(abs(one.row - jump.row) <= 1 for one in steps):
+        rows = [one.row for one in steps]
+        if rows and all(any(abs(row - one.row) <= reach for row in rows) for one in jumps):
             return True
     return False
 
