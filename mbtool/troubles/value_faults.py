@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.modbus.tables import Table
     from mbtool.values.followed_values import FollowedValue
-    from mbtool.values.movements import Movements, Seen, Step
+    from mbtool.values.movements import Move, Movements, Occurrence
 
 MAX_POLLS = 512
 MAX_WRITTEN = 4096
@@ -125,7 +125,7 @@ class _Case(NamedTuple):
     until_ns: int | None = None
 
 
-class _Poll:
+class _FollowedAnswers:
     """The answers to one kind of request."""
 
     def __init__(self) -> None:
@@ -149,7 +149,7 @@ class ValueFaults(Sense):
         self._assignments = assignments
         self._found: list[Trouble] = []
         """The troubles of earlier captures."""
-        self._polls: dict[_Key, _Poll] = {}
+        self._polls: dict[_Key, _FollowedAnswers] = {}
         self._like: dict[_Key, NamedTransaction] = {}
         """For polls of slaves that may have a profile: their first transaction."""
         self._written: set[tuple[str, int, Table, int]] = set()
@@ -207,19 +207,19 @@ class ValueFaults(Sense):
         if len(self._written) < MAX_WRITTEN:
             self._written.update((link, unit, table, address) for address in span)
 
-    def _new_poll(self, key: _Key) -> _Poll:
-        poll = _Poll()
+    def _new_poll(self, key: _Key) -> _FollowedAnswers:
+        poll = _FollowedAnswers()
         poll.is_left_out = not 0 < key.quantity <= 2000
         if len(self._polls) < MAX_POLLS:
             self._polls[key] = poll
         return poll
 
-    def _take(self, key: _Key, poll: _Poll) -> None:
+    def _take(self, key: _Key, poll: _FollowedAnswers) -> None:
         """Add the answers that wait to the figures of their poll, if they are many."""
         if len(poll.times) >= LEARNT and len(poll.words) >= BATCH:
             self._movements(key, poll)
 
-    def _movements(self, key: _Key, poll: _Poll) -> Movements | None:
+    def _movements(self, key: _Key, poll: _FollowedAnswers) -> Movements | None:
         """Return the figures of all answers of a poll; None if nothing is known of its values."""
         from mbtool.values.movements import Movements
 
@@ -241,7 +241,7 @@ class ValueFaults(Sense):
             del poll.times[:], poll.words[:]
         return poll.movements
 
-    def _find_values(self, key: _Key, poll: _Poll) -> bool:
+    def _find_values(self, key: _Key, poll: _FollowedAnswers) -> bool:
         """Find which values a poll has; return False if it is too early for that.
 
         Their types are judged from the first LEARN answers, and again from twice as many, until
@@ -372,7 +372,7 @@ def _levels(movements: Movements, place: int) -> float:
     return float(width / movements.least_step[place]) + 1
 
 
-def _is_no_number(movements: Movements, place: int, unset: Seen) -> bool:
+def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
     low, high = float(movements.low[place]), float(movements.high[place])
     if movements.changes[place] < MOVES or _levels(movements, place) < LEVELS:
         return False
@@ -383,7 +383,7 @@ def _is_no_number(movements: Movements, place: int, unset: Seen) -> bool:
     return away >= JUMP * movements.steps(place)[2].size
 
 
-def _no_value(movements: Movements, value: FollowedValue, unset: Seen) -> _Case:
+def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
     bits = 16 * value.reading.words
     is_whole = unset.number == unset.number and abs(unset.number) != float("inf")
     word = f"{int(unset.number) % (1 << bits):0{bits // 4}X}H" if is_whole else "no number"
@@ -429,7 +429,7 @@ def _fallen(movements: Movements, place: int) -> _Case | None:
     return None
 
 
-def _goes_on_at_zero(value: FollowedValue, step: Step, mean: float) -> bool:
+def _goes_on_at_zero(value: FollowedValue, step: Move, mean: float) -> bool:
     """True if a counter goes on at 0 behind its last digit."""
     reach = 3 * mean + 1
     is_float = value.reading.type in (PointType.FLOAT32, PointType.FLOAT64)
@@ -440,7 +440,7 @@ def _goes_on_at_zero(value: FollowedValue, step: Step, mean: float) -> bool:
     )
 
 
-def _jumps(movements: Movements, place: int) -> tuple[list[Step], float]:
+def _jumps(movements: Movements, place: int) -> tuple[list[Move], float]:
     """Return the steps of a number that are much larger than all others, in the order of time, and
     the largest of the others; no steps if there is no such gap between their sizes.
     """
@@ -479,7 +479,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     )  # fmt: skip
 
 
-def _return(jumps: Sequence[Step]) -> bool:
+def _return(jumps: Sequence[Move]) -> bool:
     """True if a number returns from each jump."""
     return len(jumps) % 2 == 0 and all(
         back.row - away.row <= RETURN_ROWS
@@ -493,7 +493,7 @@ def _is_slow(movements: Movements, place: int, jump: float, usual: float) -> boo
     return width - jump >= WAY * usual
 
 
-def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Step]) -> bool:
+def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bool:
     """True if another value of the same answers jumps at the same times."""
     reach = len(jumps) == 1
     for other in range(len(movements.values)):

@@ -45,7 +45,7 @@ _NO_VALUES = {
 """Numbers that devices often give where they have no value, by type; NaN is one of a float."""
 
 
-class Step(NamedTuple):
+class Move(NamedTuple):
     """A change from one answer to the next."""
 
     size: float
@@ -67,7 +67,7 @@ class Rest(NamedTuple):
     value: float
 
 
-class Seen(NamedTuple):
+class Occurrence(NamedTuple):
     """How often something was seen, and first when and as which number."""
 
     answers: int
@@ -77,7 +77,7 @@ class Seen(NamedTuple):
 
 @dataclass(slots=True)
 class _Falls:
-    steps: list[Step] = field(default_factory=list)
+    steps: list[Move] = field(default_factory=list)
     rises: list[int] = field(default_factory=list)
     """How often the value had risen before each of them."""
 
@@ -117,9 +117,9 @@ class Movements:
         self._rest = np.zeros((5, size), np.int64)
         """Rows, begin, end, changes of other values, and second most rows of the longest rest."""
         self._rest_value = np.zeros(size)
-        self._unset: dict[int, Seen] = {}
-        self._outside: dict[int, Seen] = {}
-        self._not_valid: dict[tuple[int, str], Seen] = {}
+        self._unset: dict[int, Occurrence] = {}
+        self._outside: dict[int, Occurrence] = {}
+        self._not_valid: dict[tuple[int, str], Occurrence] = {}
         self._no_values = np.array(
             [
                 [
@@ -227,7 +227,7 @@ class Movements:
             own = self._falls.setdefault(place, _Falls())
             for row in rows[: FALLS - len(own.steps)].tolist():
                 old, new = float(before[row, place]), float(after[row, place])
-                own.steps.append(Step(old - new, self.rows + row, int(times[row]), old, new))
+                own.steps.append(Move(old - new, self.rows + row, int(times[row]), old, new))
                 own.rises.append(int(self.rises[place] + rises[:row, place].sum()))
 
     def _note_steps(self, times: Int64s, before: Floats, after: Floats, sizes: Floats) -> None:
@@ -294,17 +294,17 @@ class Movements:
         self._run_row[:], self._run_ns[:], self._run_moves[:] = self.rows, until_ns, self.moves
         self._last = np.full(len(self.values), np.nan)
 
-    def steps(self, place: int) -> list[Step]:
+    def steps(self, place: int) -> list[Move]:
         """Return the largest steps of a value, the largest first."""
         size, before, after, row = self._largest[:, :, place]
         times = self._largest_ns[:, place]
         return [
-            Step(float(size[at]), int(row[at]), int(times[at]), float(before[at]), float(after[at]))
+            Move(float(size[at]), int(row[at]), int(times[at]), float(before[at]), float(after[at]))
             for at in range(STEPS)
             if size[at] > 0
         ]
 
-    def falls(self, place: int) -> list[tuple[Step, int]]:
+    def falls(self, place: int) -> list[tuple[Move, int]]:
         """Return the first falls of a value, each with how often it had risen before."""
         own = self._falls.get(place)
         return [] if own is None else list(zip(own.steps, own.rises, strict=True))
@@ -325,21 +325,21 @@ class Movements:
         """The time of the last answer."""
         return self._last_ns or 0
 
-    def unset(self, place: int) -> Seen | None:
+    def unset(self, place: int) -> Occurrence | None:
         """Return how often a value was a number that may stand for "no value"; None if never."""
         return self._unset.get(place)
 
-    def outside(self, place: int) -> Seen | None:
+    def outside(self, place: int) -> Occurrence | None:
         """Return how often a value was outside the profile's range; None if never."""
         return self._outside.get(place)
 
-    def not_valid(self) -> list[tuple[FollowedValue, str, Seen]]:
+    def not_valid(self) -> list[tuple[FollowedValue, str, Occurrence]]:
         """Return the texts that said that a value is not valid, each with where it was seen."""
         return [(self.values[place], text, seen) for (place, text), seen in self._not_valid.items()]
 
 
 def _note(
-    seen: dict[K, Seen], key: K, times: Int64s, numbers: Floats, has: npt.NDArray[np.bool_]
+    seen: dict[K, Occurrence], key: K, times: Int64s, numbers: Floats, has: npt.NDArray[np.bool_]
 ) -> None:
     number = int(has.sum())
     old = seen.get(key)
@@ -347,7 +347,7 @@ def _note(
         seen[key] = old._replace(answers=old.answers + number)
     elif number:
         first = int(np.argmax(has))
-        seen[key] = Seen(number, int(times[first]), float(numbers[first]))
+        seen[key] = Occurrence(number, int(times[first]), float(numbers[first]))
 
 
 def _numbers_of(columns: npt.NDArray[np.uint16], reading: WordReading) -> Floats:

@@ -1,7 +1,7 @@
 """Prints what is called sure of the registers in recordings that others made.
 
-`python -m tests.adversary.values.sure [TEXT]`: for each shared capture (whose name has TEXT) and slave, the values whose
-type is sure, to be compared with the map of the device.
+`python -m tests.adversary.values.sure [TEXT]`: for each shared capture (whose name has TEXT) and
+slave, the values whose type is sure, to be compared with the map of the device.
 """
 
 from __future__ import annotations
