@@ -13,6 +13,7 @@ import os
 import re
 import stat
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -21,10 +22,10 @@ from pyarrow import fs
 from mbtool.cluster.plan import InputFile
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_of
+from mbtool.core.replacing import move_into_place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)
@@ -145,7 +146,7 @@ class OutputStore:
                 self._fs.create_dir(folder)
             self._write(begun, data)
             if begun != path:
-                os.replace(begun, path)
+                move_into_place(Path(begun), Path(path))
 
     def delete(self, name: str) -> None:
         """Delete a file; do nothing if it does not exist."""
