@@ -48,6 +48,17 @@ def replace_content(target: Path, content: bytes) -> None:
         raise
 
 
+def make_folder(folder: Path) -> None:
+    """Create a folder, with those above it, if it is missing; they are on the disk then.
+
+    Raises OSError if that is not possible.
+    """
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in missing:
+        sync_folder(one.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Sync a folder to the disk, so that new and renamed files in it survive a power cut.
 

@@ -8,16 +8,16 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from random import Random
 
-_HEAD = struct.Struct("<cqqI")
+_HEAD = struct.Struct("<cqqq")
 _LENGTH = struct.Struct("<I")
 PIECES = (512, 4096)
 
@@ -26,6 +26,7 @@ class Record(NamedTuple):
     """One record of the journal (journal.c)."""
 
     kind: str
+    ns: int
     first: int
     second: int
     path: str
@@ -35,19 +36,20 @@ class Record(NamedTuple):
 
 def records_of(journal: bytes) -> list[Record]:
     """Read a journal; a record that is still being written is left out."""
+    stream = io.BytesIO(journal)
     records = []
-    at = 0
-    while at + _LENGTH.size <= len(journal):
-        (length,) = _LENGTH.unpack_from(journal, at)
-        if (end := at + _LENGTH.size + length) > len(journal):
+
+    def text() -> str:
+        return stream.read(*_LENGTH.unpack(stream.read(_LENGTH.size))).decode()
+
+    while len(head := stream.read(_LENGTH.size)) == _LENGTH.size:
+        end = stream.tell() + _LENGTH.unpack(head)[0]
+        if end > len(journal):
             break
-        kind, first, second, size = _HEAD.unpack_from(journal, at := at + _LENGTH.size)
-        path = journal[at := at + _HEAD.size : (at := at + size)]
-        (size,) = _LENGTH.unpack_from(journal, at)
-        other = journal[at := at + _LENGTH.size : (at := at + size)]
-        data = journal[at:end]
-        records.append(Record(kind.decode(), first, second, path.decode(), other.decode(), data))
-        at = end
+        kind, ns, first, second = _HEAD.unpack(stream.read(_HEAD.size))
+        path, other = text(), text()
+        data = stream.read(end - stream.tell())
+        records.append(Record(kind.decode(), ns, first, second, path, other, data))
     return records
 
 
@@ -84,6 +86,12 @@ class File(Synced):
     def written(self) -> bytes:
         """What the program has written."""
         return self._after(len(self.changes))
+
+    @property
+    def waits_since_ns(self) -> int | None:
+        """When the first change was written that no sync covers which has begun; None if none."""
+        covered = max(self.covered, *self._begun.values(), 0)
+        return self.changes[covered].ns if covered < len(self.changes) else None
 
     def left(self, chance: Random) -> bytes:
         """What may be left of it."""

@@ -2,7 +2,8 @@
  *
  * POWER_CUTS_FOLDER is the folder (an absolute path without links), POWER_CUTS_JOURNAL the file
  * that the records are appended to. A record is its length (uint32, of all behind it), the kind (a
- * letter), two numbers (int64), a path with its length (uint32), a second one, and bytes:
+ * letter), the time in ns of a clock that never steps and two numbers (int64), a path with its length
+ * (uint32), a second one, and bytes:
  *
  *     O  a file was created: inode, 0, path          T  a file was cut or extended: inode, length
  *     W  bytes were written: inode, offset, bytes    R  a rename: 0, 0, old path, new path
@@ -27,7 +28,7 @@
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
@@ -49,12 +50,15 @@ __attribute__((constructor)) static void begin(void) {
 static void note(char kind, int64_t one, int64_t two, const char *path, const char *other,
                  const void *data, size_t size) {
     uint32_t first = path ? strlen(path) : 0, second = other ? strlen(other) : 0;
-    size_t length = 1 + 16 + 4 + first + 4 + second + size;
+    size_t length = 1 + 24 + 4 + first + 4 + second + size;
     char *record = malloc(4 + length), *at = record;
     uint32_t whole = length;
     int kept = errno;
+    struct timespec clock;
+    clock_gettime(CLOCK_MONOTONIC, &clock);
+    int64_t now = clock.tv_sec * 1000000000LL + clock.tv_nsec;
 #define PUT(from, many) (memcpy(at, from, many), at += (many))
-    PUT(&whole, 4); PUT(&kind, 1); PUT(&one, 8); PUT(&two, 8);
+    PUT(&whole, 4); PUT(&kind, 1); PUT(&now, 8); PUT(&one, 8); PUT(&two, 8);
     PUT(&first, 4); if (first) PUT(path, first);
     PUT(&second, 4); if (second) PUT(other, second);
     if (size) PUT(data, size);

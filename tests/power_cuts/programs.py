@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,17 +18,16 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, MbtoolError, WireEvent
 from mbtool.logs import read_log
-from tests.captures import CAPTURES
 from tests.kills.senders import TapSender
-from tests.power_cuts.disk import records_of
+from tests.power_cuts.disk import Disk, File, records_of
 from tests.soak.plant import free_port
 from tests.soak.programs import PATIENCE_S, Running
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
-    from tests.power_cuts.disk import Disk, File
 
+CAPTURES = Path(__file__).parents[2] / "captures"
 Environment = dict[str, str]
 
 
@@ -40,6 +40,8 @@ class Cut:
     """The disk at the end of the run; its files have the same numbers."""
     places: Mapping[File, Path]
     image: Path
+    ns: int
+    """The time, of the journal's clock."""
     told: list[bytes]
     """What the program had sent to sockets or written to standard output."""
     is_over: bool
@@ -73,6 +75,8 @@ class Recording(Program):
         self.name = name
         self.promised = 0
         """How many items were promised in all cuts."""
+        self.longest_ns = 0
+        """The longest time that something was written for which no sync had begun."""
         self._options = options
         self._syncs = syncs
         self._rate = rate
@@ -89,7 +93,10 @@ class Recording(Program):
             journal = Path(environment["POWER_CUTS_JOURNAL"])
             for _ in range(int(PATIENCE_S * 10)):
                 records = records_of(journal.read_bytes())
-                if sum(one.kind == "E" and one.path != str(folder) for one in records) > self._syncs:
+                if (
+                    sum(one.kind == "E" and one.path != str(folder) for one in records)
+                    > self._syncs
+                ):
                     break
                 Event().wait(0.1)
         finally:
@@ -99,6 +106,10 @@ class Recording(Program):
     def wrong(self, cut: Cut) -> Iterator[str]:
         for number, file in enumerate(cut.disk.files):
             promised = self._read(file.promised)
+            since_ns = cut.ns if file.waits_since_ns is None else file.waits_since_ns
+            self.longest_ns = max(self.longest_ns, cut.ns - since_ns)
+            if cut.is_over and file not in cut.disk.removed and file.promised != file.written:
+                yield f"file {number} is closed and not synced"
             if file in cut.disk.removed or not promised:
                 continue
             self.promised += len(promised)
@@ -120,8 +131,10 @@ class Recording(Program):
             with tempfile.NamedTemporaryFile(suffix=".mcap") as file:
                 file.write(content)
                 file.flush()
-                with suppress(MbtoolError):
-                    items += [repr(item) for item in read_log(file.name) if not _is_damage(item)]
+                with suppress(MbtoolError):  # It is raised behind all that can be read.
+                    for item in read_log(file.name):
+                        if not _is_damage(item):
+                            items.append(repr(item))
             self._items[content] = items
         return self._items[content]
 

@@ -13,7 +13,7 @@ import msgspec
 
 from mbtool.core import InputError
 from mbtool.core.errors import reason_of
-from mbtool.core.replacing import replace_content
+from mbtool.core.replacing import make_folder, replace_content
 
 MAX_FILTERS = 20
 _DAMAGED = ".damaged"
@@ -67,7 +67,7 @@ def save_settings(settings: WatchSettings) -> str | None:
     except RuntimeError:
         return f"{problem}there is no home folder"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         _keep_damaged(path)
         replace_content(path, msgspec.json.format(msgspec.json.encode(settings)))
     except (FileExistsError, NotADirectoryError):
