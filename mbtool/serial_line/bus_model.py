@@ -58,6 +58,9 @@ class Classification(msgspec.Struct, frozen=True, gc=False):
     direction: Direction
     by: DirectionBy
     confidence: float
+    is_final: bool = False
+    """True if no later frame can decide the direction, so that the bus state which follows from the
+    other direction is not kept."""
 
 
 _SLOW_NS = LatencyStatistics.MIN_WRITE_NS
@@ -234,7 +237,8 @@ class BusModel:
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
         frame = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
-        if len(self.states) == 1 and classification.confidence >= NO_RIVAL_CONFIDENCE:
+        is_only = classification.is_final or classification.confidence >= NO_RIVAL_CONFIDENCE
+        if len(self.states) == 1 and is_only:
             self.states = [(0.0, self.next_state(state, *frame))]
             return
         states = self._states_after(*frame)
@@ -364,16 +368,17 @@ class BusModel:
             return state.last_ns is not None
         return waited_ns > LatencyStatistics.MIN_WRITE_NS
 
-    def may_be_retry(self, unit: int, pdu: bytes) -> bool:
+    def may_be_retry(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame equals the one before it, and nothing tells a response from a retry.
 
-        That is so if silences do not tell who speaks, or none was heard so far, and no response of
-        the unit has differed from its request. But two equal frames on a line with a single unit
-        are taken for a request and its response.
+        That is so if the silence before the frame, which began at `start_ns`, does not tell who
+        speaks, and no response of the unit has differed from its request. But two equal frames on a
+        line with a single unit are taken for a request and its response.
         """
         history, state = self.history, self.state
-        is_heard = history.trusts_silences and history.hears_silences
-        if is_heard or unit in history.answering or pdu[0] not in ECHOING:
+        if unit in history.answering or pdu[0] not in ECHOING:
+            return False
+        if history.hears_wait(start_ns - (state.last_ns or 0)):
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0

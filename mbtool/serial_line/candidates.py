@@ -128,6 +128,8 @@ class Candidates:
         self._roles = roles
         self._frames: dict[int, list[FrameCandidate]] = {}
         """By offset examined so far, the frames with a correct CRC that begin there."""
+        self._ends: dict[int, list[int]] = {}
+        """By offset examined so far, the first sizes up to which the bytes have a correct CRC."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
@@ -233,10 +235,12 @@ class Candidates:
         roles = [
             role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
         ]
-        for size in crc_ends(head, MAX_UNKNOWN_ENDS) if roles else ():
+        ends = self._unknown_ends(offset) if roles else []
+        for size in ends:
             if size == burst:
                 continue
             cost = self._enclosed_cost(offset, size, known=False)
+            cost += costs.CRC_COINCIDENCE * self._chained(offset + ends[0], offset + size)
             if not cost and self._all_frames.count(offset + 1, offset + size - MIN_FRAME + 1):
                 cost = costs.UNKNOWN_CRC_COINCIDENCE
             is_burst = size < burst and not any(head[size:burst])  # Only 00 follows in the burst.
@@ -244,6 +248,30 @@ class Candidates:
             cost += self._zero_end_cost(offset, size)
             for role in roles:
                 yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
+
+    def _unknown_ends(self, offset: int) -> list[int]:
+        """Return the sizes up to which the bytes at an offset have a correct CRC, the least first,
+        at most MAX_UNKNOWN_ENDS.
+        """
+        ends = self._ends.get(offset)
+        if ends is None:
+            head = self._data[offset : offset + MAX_RTU_ADU]
+            ends = self._ends[offset] = list(crc_ends(head, MAX_UNKNOWN_ENDS))
+        return ends
+
+    def _chained(self, offset: int, end: int) -> int:
+        """Return how many frames follow each other from an offset on, up to the offset `end`.
+
+        Each ends where its CRC is first correct. A longer frame whose bytes they are has all these
+        correct CRCs by chance.
+        """
+        count = 0
+        while offset + MIN_FRAME <= end:
+            ends = self._unknown_ends(offset)
+            if not ends or offset + ends[0] > end:
+                break
+            count, offset = count + 1, offset + ends[0]
+        return count
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of supposing that bytes 00 at a frame's end belong to it."""

@@ -78,6 +78,8 @@ class FastPath:
         self._run = b""
         self._run_size = 0
         """The number of undecided bytes that are known to be frames equal to `_run`."""
+        self._run_decided = 0
+        """The number of bytes of the run of equal frames that are decided, without the first frame."""
 
     def restart(self, removed: int, *, behind_noise: bool) -> None:
         """Forget the possible sizes of the next frame, as the first `removed` bytes are decided.
@@ -85,6 +87,7 @@ class FastPath:
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
         self._run_size -= removed
+        self._run_decided += removed
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []
@@ -253,7 +256,10 @@ class FastPath:
             silent = history.silent_bits(state, pending) if is_echo else 0.0
             if not is_echo or silent or history.retry.bits < costs.RETRY:
                 return None
-            return FITTING_RESPONSE if self._follows_response(data, len(pdu) + 3) else None
+            size = len(pdu) + 3
+            if self._follows_response(data, size):
+                return FITTING_RESPONSE
+            return self._in_odd_run(Direction.RESPONSE, data, size)
         if state.follows_damage or state.last_ns is None:
             return None
         bits = costs.UNREQUESTED_RESPONSE - costs.REQUEST
@@ -262,6 +268,9 @@ class FastPath:
             if history.trusts_silences:
                 return None
             bits -= min(history.repeat.bits, costs.REPEAT_AGAIN if state.is_repeat else bits)
+            odd = self._in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
+            if odd is not None:
+                return odd
         elif state.last_response == pdu:
             return None
         elif (unit, pdu) not in history.requests:
@@ -287,10 +296,36 @@ class FastPath:
             return crc(after) == 0 and data.startswith(after, 2 * size)
         if self._is_long_loop(data, size):
             return True
+        count = self._count_ended_loop(data, size)
+        return count % 2 == 1
+
+    def _in_odd_run(self, role: Direction, data: bytes, size: int) -> Classification | None:
+        """Return `role` for a frame of `size` bytes in a run of an odd number of equal frames.
+
+        One request of the run has no response, and nothing tells which. So each is as likely, and
+        the later the frame, the less likely are request and response by turns up to it. None if
+        the run has an even number of frames, or its end is not heard yet.
+        """
+        count = self._count_ended_loop(data, size)
+        is_request = role is Direction.REQUEST
+        if not count or count % 2 != is_request:
+            return None
+        behind = (count + 1) // 2
+        before = (self._run_decided // size + (1 if is_request else 2)) // 2
+        by = DirectionBy.IDLE if is_request else DirectionBy.PENDING
+        return Classification(role, by, behind / (behind + before), is_final=True)
+
+    def _count_ended_loop(self, data: bytes, size: int) -> int:
+        """Return how many frames equal to the first one, of `size` bytes, follow each other.
+
+        0 if more may follow, or if the master is not known to write one value in a loop.
+        """
+        history, raw = self._model.history, data[:size]
+        if history.timed or history.repeat.bits > costs.REPEAT_AGAIN:
+            return 0
         count = self._count_run(data, raw)
         is_over = not raw.startswith(data[count * size : (count + 1) * size])
-        is_loop = self._model.history.repeat.bits <= costs.REPEAT_AGAIN
-        return is_loop and is_over and count % 2 == 1
+        return count if is_over else 0
 
     def _is_long_loop(self, data: bytes, size: int) -> bool:
         """True if the next frame, of `size` bytes, is one of many equal ones, and the master is
@@ -303,6 +338,8 @@ class FastPath:
     def _count_run(self, data: bytes, raw: bytes) -> int:
         """Return how many frames equal to `raw` the bytes begin with."""
         end = self._run_size if self._run == raw and self._run_size > 0 else 0
+        if not end:
+            self._run_decided = 0
         end -= end % len(raw)
         while data.startswith(raw, end):
             end += len(raw)
@@ -314,8 +351,14 @@ class FastPath:
 
         `head` are the frame, which has `size` bytes, and bytes behind it.
         """
+        if self._model.state.last_ns is None:
+            return False  # The frames behind the first one of a capture tell its direction.
         if self._model.history.trusts_silences:
-            return classified.confidence >= SURE
+            # An equal frame right behind may be the response, and this one a retry.
+            behind = head[size : 2 * size]
+            is_repeated = behind and head.startswith(behind)
+            is_response = classified.direction is Direction.RESPONSE
+            return classified.confidence >= SURE and not (is_response and is_repeated)
         if classified.direction is Direction.REQUEST:
             return classified.confidence >= _REQUEST_CONFIDENCE
         # If silences do not tell who speaks, two equal frames may be a request and its echo, or a

@@ -222,6 +222,8 @@ class RtuSplitter:
 
     def _hear_silence(self, events: list[Adu | Skipped], silence_ns: int) -> None:
         """Decide what the buffered bytes are; an incomplete frame waits if the silence is short."""
+        if self._is_first_alone() and silence_ns < HOLD_NS:
+            return
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -234,6 +236,13 @@ class RtuSplitter:
         is_long = silence_ns >= HOLD_NS and self._data
         if is_long and (silence_ns >= HOLD_DUE_NS or not self._begins_due_frame()):
             self._end_burst(events, may_continue=False)
+
+    def _is_first_alone(self) -> bool:
+        """True if the buffered bytes are the first frame of the capture and may be a response."""
+        data = self._data
+        if self._last_end is not None or self._speaker is not None or len(data) < MIN_FRAME:
+            return False
+        return data[1] in ECHOING and frame_size(data, Direction.REQUEST) == len(data)
 
     def _begins_due_frame(self) -> bool:
         """True if the buffered bytes are certainly the beginning of the frame that is due."""
@@ -451,15 +460,26 @@ class RtuSplitter:
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
+            is_alone = self._last_end is None and len(self._data) == size
             if (
-                model.history.may_hear_only_slaves
-                or model.may_be_reversed(start_ns)
-                or model.may_be_retry(unit, pdu)
+                is_alone
+                or model.history.may_hear_only_slaves
+                or model.may_be_retry(unit, pdu, start_ns)
             ):
                 confidence = min(confidence, UNSURE)
+            if model.may_be_reversed(start_ns):  # Nothing is learned from such a frame.
+                confidence = min(confidence, UNSURE)
+                classification = replace(classification, confidence=confidence, is_final=True)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
                 classification = replace(classification, confidence=confidence)
+            waited_ns = before_ns or 0
+            if (
+                self._copies.copied
+                and not model.history.hears_wait(waited_ns)
+                and self._copies.may_copy_retry(raw, self._data[size:])
+            ):
+                confidence = min(confidence, UNSURE)
         if self._copies.copies and self._copies.may_copy(raw, self._data[size:]):
             confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
@@ -520,6 +540,7 @@ class RtuSplitter:
                     bursts.hear_frame(before_ns, size, cut, is_glued=is_glued)
                 is_trusted = glue.frequency <= MAX_GLUED and not bursts.may_merge_retry
                 self._model.history.trusts_silences = is_trusted
+                self._model.history.merges_briefly = bursts.merges_briefly
             if is_split or not statistics.split.is_at_rest:
                 statistics.split.learn(is_split)
 
