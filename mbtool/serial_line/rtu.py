@@ -50,7 +50,7 @@ from mbtool.modbus.adu import (
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line import costs
 from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
-from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
+from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification, roles_of
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
 from mbtool.serial_line.frame_copies import FrameCopies
@@ -238,11 +238,13 @@ class RtuSplitter:
             self._end_burst(events, may_continue=False)
 
     def _is_first_alone(self) -> bool:
-        """True if the buffered bytes are the first frame of the capture and may be a response."""
+        """True if the buffered bytes are the first frame of the capture, and its form allows both
+        directions.
+        """
         data = self._data
         if self._last_end is not None or self._speaker is not None or len(data) < MIN_FRAME:
             return False
-        return data[1] in ECHOING and frame_size(data, Direction.REQUEST) == len(data)
+        return crc(data) == 0 and len(roles_of(data[1:-2])) > 1
 
     def _begins_due_frame(self) -> bool:
         """True if the buffered bytes are certainly the beginning of the frame that is due."""
@@ -458,14 +460,11 @@ class RtuSplitter:
         is_even = end_ns - start_ns == size * self._character_ns
         longest_ns = 0 if is_even else longest_silence_ns(times, size, self._character_ns)
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
+        if self._is_first_alone():
+            confidence = min(confidence, UNSURE)
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            is_alone = self._last_end is None and len(self._data) == size
-            if (
-                is_alone
-                or model.history.may_hear_only_slaves
-                or model.may_be_retry(unit, pdu, start_ns)
-            ):
+            if model.history.may_hear_only_slaves or model.may_be_retry(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
             if model.may_be_reversed(start_ns):  # Nothing is learned from such a frame.
                 confidence = min(confidence, UNSURE)
