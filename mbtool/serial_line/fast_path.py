@@ -79,7 +79,7 @@ class FastPath:
         self._run_size = 0
         """The number of undecided bytes that are known to be frames equal to `_run`."""
         self._run_decided = 0
-        """The number of decided bytes of the run of equal frames, without those of its first frame."""
+        """The number of decided bytes of the run of equal frames, without its first frame."""
 
     def restart(self, removed: int, *, behind_noise: bool) -> None:
         """Forget the possible sizes of the next frame, as the first `removed` bytes are decided.

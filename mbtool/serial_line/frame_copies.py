@@ -130,7 +130,7 @@ class FrameCopies:
         """True if a frame may be a request or its copy, although the adapter is not known to echo.
 
         That is so if the last requests came twice, too few to be sure, and a frame equal to this
-        one comes directly before or behind it. `raw` is this frame, `following` the bytes behind it.
+        one comes directly before or behind it. `raw` is this frame; `following` the bytes behind.
         """
         if self.echoes or self._has_single or not 0 < self.copies < ENOUGH_COPIES:
             return False
