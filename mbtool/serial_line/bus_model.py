@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 SURE = 0.8
 """A frame is called ambiguous if its confidence (0.5 to 1) is less than this."""
+UNSURE = 0.79
+"""The confidence (0.5 to 1) of a frame that is found ambiguous is lowered to this, below `SURE`."""
 
 CERTAIN_BY = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
@@ -237,8 +239,8 @@ class BusModel:
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
         frame = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
-        is_only = classification.is_final or classification.confidence >= NO_RIVAL_CONFIDENCE
-        if len(self.states) == 1 and is_only:
+        is_sole = len(self.states) == 1 and classification.confidence >= NO_RIVAL_CONFIDENCE
+        if is_sole or classification.is_final:
             self.states = [(0.0, self.next_state(state, *frame))]
             return
         states = self._states_after(*frame)
@@ -281,6 +283,7 @@ class BusModel:
         if pdu[0] in WRITE_SEVERAL:
             self._repeated_write = None
             history.wrong_echoes.pop((pending.unit, pdu[0]), None)
+            history.usual_echoes.add((pending.unit, pdu[0]))
         if is_sure and pdu != pending.pdu:
             if history.unanswered or pending.unit not in history.answering:
                 history.learn_answer(pending.unit)
@@ -385,6 +388,19 @@ class BusModel:
             may_be_absent = is_third or len(history.units) > 1
             return may_be_absent and state.pending.is_same(unit, pdu)
         return state.answered is not None and state.answered.is_same(unit, pdu)
+
+    def may_be_whole_echo(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a write of several values that equals the pending one may be its response.
+
+        That is so if the silence before it, which ended at `start_ns`, tells nothing, and the unit
+        answers, but has not shown how it answers this function.
+        """
+        history, pending = self.history, self.state.pending
+        if pending is None or not pending.is_same(unit, pdu):
+            return False
+        if unit not in history.answering or (unit, pdu[0]) in history.usual_echoes:
+            return False
+        return not history.hears_wait(start_ns - pending.awaited_from_ns)
 
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame that equals the pending request may be a retry or a slow response.

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import accumulate, product
 from typing import TYPE_CHECKING
@@ -41,6 +42,8 @@ LONG_SKIP = 4
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
+COUNTED = b"\x0f", b"\x10", b"\x17"
+"""The functions whose requests carry a quantity and a byte count."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
 (V1.1b3, 6.8.1)."""
@@ -130,6 +133,11 @@ class Candidates:
         """By offset examined so far, the frames with a correct CRC that begin there."""
         self._ends: dict[int, list[int]] = {}
         """By offset examined so far, the first sizes up to which the bytes have a correct CRC."""
+        self._places: list[int] = []
+        """The offsets searched so far at which a frame may begin behind bytes that belong to none,
+        in order."""
+        self._searched_to = 0
+        """All offsets below this one were searched for places, except those never asked for."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
@@ -137,6 +145,34 @@ class Candidates:
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
         self._silences = [0, 0, *accumulate(window.silences[1:])]
         """For each offset, the number of bytes before it that directly follow a silence of t3.5."""
+
+    def next_place(self, offset: int) -> int:
+        """Return the first offset, from `offset` on, at which a frame may begin behind bytes that
+        belong to no frame; the window's end if there is none.
+
+        A frame of known form with a correct CRC begins there, or a silence, or the unit and
+        function of an earlier request, or a write whose byte count agrees with its quantity.
+        """
+        places = self._places
+        at = max(self._searched_to, offset)
+        while not places or places[-1] < offset:
+            if at >= self._end:
+                self._searched_to = at
+                return self._end
+            if self._is_place(at):
+                places.append(at)
+            at += 1
+        self._searched_to = at
+        return places[bisect_left(places, offset)]
+
+    def _is_place(self, offset: int) -> bool:
+        if self._window.silences[offset]:
+            return True
+        head = self._data[offset : offset + 2]
+        if self._model.history.has_function(head) or begins_frame(self._data, offset, self._roles):
+            return True
+        start = self._data[offset + 1 : offset + MAX_RTU_ADU]
+        return start[:1] in COUNTED and is_counted(start)
 
     def split_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of the silences of t3.5 inside the `size` bytes of a frame."""

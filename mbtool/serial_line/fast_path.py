@@ -26,6 +26,7 @@ from mbtool.serial_line.bus_model import (
     REQUEST_BY_FORM,
     ROLES,
     SURE,
+    UNSURE,
     BusModel,
     Classification,
 )
@@ -48,6 +49,8 @@ _ONLY = {role: [role] for role in ROLES}
 _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
+_LOOP = 5
+"""So many equal frames behind the first one are a loop of one request, not its retries."""
 _LONG_RUN = 24
 """From so many equal frames in a row on, the number of those that follow does not matter. It is at
 most as many frames as the window keeps undecided."""
@@ -122,11 +125,12 @@ class FastPath:
             if ordinary is not None:
                 return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)
+        if self._is_never_decided(unit, pdu, start_ns):
+            return size, self._undecided(unit, pdu, start_ns)
         cost = model.cost(model.state, unit, pdu, classified.direction, start_ns)
         if cost > _MAX_COST and not (
-            classified is REQUEST_BY_FORM
-            and cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
-            and self._begins_request(unit, pdu)
+            cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
+            and self._is_next_request(classified, unit, pdu)
         ):
             return None
         if len(roles) > 1 and not self._is_direction_certain(classified, head, size):
@@ -219,6 +223,38 @@ class FastPath:
                 return False
         return True
 
+    def _is_next_request(self, classified: Classification, unit: int, pdu: bytes) -> bool:
+        """True if a frame is a request, by its form or since no response is like it.
+
+        The request before it may have no response. False behind bytes that belong to no frame.
+        """
+        if classified is REQUEST_BY_FORM:
+            return self._begins_request(unit, pdu)
+        is_echo = pdu[0] in ECHOING and not self._model.history.timed
+        return is_echo and classified.direction is Direction.REQUEST and not self._is_behind_noise
+
+    def _is_never_decided(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a frame that equals the one before may be its response, its retry or a new
+        request, and no later frame can tell, as times are not known and the unit is silent
+        otherwise.
+        """
+        return not self._model.history.timed and self._model.may_be_retry(unit, pdu, start_ns)
+
+    def _undecided(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
+        """Return the likelier direction of a frame that equals the one before, as doubtful.
+
+        If it is a retry, a request remains without a response.
+        """
+        model = self._model
+        request, response = (model.cost(model.state, unit, pdu, role, start_ns) for role in ROLES)
+        pending = model.state.pending
+        if pending is not None:
+            silent = model.history.silent_bits(model.state, pending)
+            request += max(model.history.no_answer.bits - silent, costs.MIN_UNANSWERED)
+        confidence = min(confidence_of(abs(request - response)), UNSURE)
+        role = Direction.REQUEST if request < response else Direction.RESPONSE
+        return Classification(role, DirectionBy.PENDING, confidence, is_final=True)
+
     def _is_ordinary_response(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame surely costs nothing (`frame_cost`) as a response to the pending request.
 
@@ -246,10 +282,19 @@ class FastPath:
         direction is uncertain: then the costs of both directions are computed. `data` are the frame
         and the bytes behind it.
         """
-        history, pending = self._model.history, state.pending
-        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or state.overdue is not None:
+        history, pending, overdue = self._model.history, state.pending, state.overdue
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_odd_request(pdu):
             return None
-        if is_odd_request(pdu):
+        if pending is not None and pending.unit != unit and not history.timed:
+            if state.follows_damage or (overdue is not None and overdue.fits(unit, pdu)):
+                return None
+            bits = costs.UNREQUESTED_RESPONSE - _MAX_COST - history.no_answer.bits
+            confidence = confidence_of(bits)
+            return Classification(Direction.REQUEST, DirectionBy.IDLE, confidence, is_final=True)
+        if overdue is not None and history.timed:
+            return None
+        may_be_late = overdue is not None and pending is None and overdue.fits(unit, pdu)
+        if may_be_late and not self._are_pairs(data, len(pdu) + 3):
             return None
         if pending is not None:
             is_echo = not history.timed and pending.is_same(unit, pdu)
@@ -315,15 +360,26 @@ class FastPath:
         by = DirectionBy.IDLE if is_request else DirectionBy.PENDING
         return Classification(role, by, behind / (behind + before), is_final=True)
 
+    def _are_pairs(self, data: bytes, size: int) -> bool:
+        """True if an even number of equal frames of `size` bytes follow each other, and another
+        frame behind them.
+        """
+        count = self._count_run(data, data[:size])
+        return count % 2 == 0 and not data.startswith(data[count * size : (count + 1) * size])
+
     def _count_ended_loop(self, data: bytes, size: int) -> int:
         """Return how many frames equal to the first one, of `size` bytes, follow each other.
 
-        0 if more may follow, or if the master is not known to write one value in a loop.
+        0 if more may follow, or if the master does not write one value in a loop, as far as is
+        known.
         """
         history, raw = self._model.history, data[:size]
-        if history.timed or history.repeat.bits > costs.REPEAT_AGAIN:
+        if history.timed:
             return 0
         count = self._count_run(data, raw)
+        is_long = self._run_decided // size + count >= _LOOP
+        if history.repeat.bits > costs.REPEAT_AGAIN and not is_long:
+            return 0
         is_over = not raw.startswith(data[count * size : (count + 1) * size])
         return count if is_over else 0
 

@@ -1,7 +1,7 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
 # Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in each of
-# `functions`, `echo_latencies` and `wrong_echoes`.
+# `functions`, `echo_latencies`, `wrong_echoes` and `usual_echoes`.
 
 from __future__ import annotations
 
@@ -74,6 +74,8 @@ class LineHistory:
         """By unit and function, the number of responses that were probably wrong echoes, up to
         costs.WRONG_ECHOES. A wrong echo repeats another value than the request, or, of 0FH and 10H,
         the whole request."""
+        self.usual_echoes: set[tuple[int, int]] = set()
+        """The pairs of unit and function, 0FH or 10H, that had a response of the usual form."""
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
