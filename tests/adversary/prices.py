@@ -2,7 +2,7 @@
 
 For each kind of input it prints the processor seconds of a MB, the memory, and how many times the
 price of an ordinary MB this is. `--scale N` makes every input N times as large: the price of a byte
-should stay the same. Each input is decoded in a process of its own.
+should stay the same. Each input is decoded in a process of its own, which also holds the file.
 """
 
 # A price counts bytes of the file, and all of the work: reading, decoding and naming. The tests
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import io
 import random
-import resource
 import struct
 import subprocess
 import sys
@@ -265,14 +264,21 @@ def run(name: str, data: bytes) -> int:
     return count + len(decoder.close())
 
 
-def price_of(name: str, scale: float = 1.0) -> Price:
-    """Decode an input in this process."""
-    given = INPUTS[name]
-    data = given.make(max(1, int(given.usual_size * scale)))
+def price_of(name: str, path: Path) -> Price:
+    """Decode an input that a file has, in this process."""
+    data = path.read_bytes()
     before_s = time.process_time()
     run(name, data)
     seconds = time.process_time() - before_s
-    return Price(len(data), seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+    return Price(len(data), seconds, _most_memory())
+
+
+def _most_memory() -> int:
+    """The most memory of this process so far, in bytes. (ru_maxrss begins with that of its parent,
+    which has made the input.)
+    """
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024
 
 
 def _polls(size: int) -> list[Packet]:
@@ -319,11 +325,11 @@ def _text(text: str) -> bytes:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scale", type=float, default=1.0)
-    parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("name", nargs="*", help=", ".join(INPUTS))
     given = parser.parse_args()
     if given.inside:
-        print(*price_of(given.name[0], given.scale))
+        print(*price_of(given.name[0], given.inside))
         return
     if unknown := set(given.name) - INPUTS.keys():
         parser.error(f"no input {', '.join(sorted(unknown))}; there are {', '.join(INPUTS)}")
@@ -332,10 +338,11 @@ def main() -> None:
     print(f"{'input':36}{'MB':>8}{'s':>8}{'s a MB':>9}{'times':>8}{'MB memory':>11}")
     prices: dict[str, float] = {}
     for name in names:
-        command = [sys.executable, "-m", "tests.adversary.prices", "--inside", name]
-        done = subprocess.run(
-            [*command, "--scale", str(given.scale)], stdout=subprocess.PIPE, text=True, check=True
-        )
+        with tempfile.NamedTemporaryFile() as file:
+            file.write(INPUTS[name].make(max(1, int(INPUTS[name].usual_size * given.scale))))
+            file.flush()
+            command = [sys.executable, "-m", "tests.adversary.prices", "--inside", file.name, name]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         size, seconds, memory = (float(word) for word in done.stdout.split())
         prices[name] = seconds / size
         times = prices[name] / prices[INPUTS[name].basis]
