@@ -10,7 +10,7 @@ import typer
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from mbtool.workflows.live_out import LiveOut
 
@@ -48,8 +48,10 @@ class LiveOutOptions(OptionGroup):
         ),
     ] = None
 
-    def open(self, on_remark: Callable[[str], None]) -> LiveOut:
+    def open(self, on_remark: Callable[[str], None], kept_codes: Sequence[str] = ()) -> LiveOut:
         """Return what the options ask for, not yet entered.
+
+        `kept_codes` are the codes of --keep-around.
 
         Raises UsageError for an option that is wrong, or a package that is missing.
         """
@@ -68,4 +70,4 @@ class LiveOutOptions(OptionGroup):
         if self.mqtt is not None:
             publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
         server = None if self.metrics is None else MetricsServer(parse_place(self.metrics))
-        return LiveOut(publisher, server, commands, on_remark)
+        return LiveOut(publisher, server, commands, on_remark, kept_codes)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import re
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Self
@@ -25,6 +26,7 @@ import msgspec
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
 from mbtool.core.moments import SECOND_NS
+from mbtool.core.replacing import sync_folder
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
@@ -99,6 +101,8 @@ class RotatingLog(ClosesOnExit):
         self._finished: deque[Path] = deque()
         """The finished files of the series that may be removed, oldest first; empty without a limit
         of files."""
+        self._kept = range(0)
+        """The numbers of the files that `keep_around` keeps; those of its last call."""
         self._rotation = rotation
         self._capture = dict(capture)
         self._replace = replace
@@ -169,11 +173,20 @@ class RotatingLog(ClosesOnExit):
         self._writer.tick(now_ns)
         self._rotate_if_due()
 
+    def keep_around(self) -> None:
+        """Keep for good the file before the present one, the present one and the next one.
+
+        Each is renamed when it is finished: x-0012.mcap becomes x-0012-kept.mcap. It is no part of
+        the series any more, so no later run removes it. May be called from any thread.
+        """
+        self._kept = range(self._number - 1, self._number + 2)
+
     def close(self, final: Mapping[str, str] | None = None) -> None:
         try:
             self._writer.close(final)
         finally:
             self._let_first_go()
+            self._keep_finished(self._writer.path)
 
     def _take_series(self) -> None:
         """Check that no file of the series is being written; find the number of the next file."""
@@ -231,11 +244,25 @@ class RotatingLog(ClosesOnExit):
 
         At most `keep` - 1 finished files are left, so that the next file can be begun.
         """
-        if self._keep is None:
+        if self._keep is None or self._keep_finished(path):
             return
         self._finished.append(path)
         while len(self._finished) >= self._keep:
             self._remove_oldest()
+
+    def _keep_finished(self, path: Path) -> bool:
+        """Rename a finished file that is to be kept, and the one before it; False if it is not."""
+        if part_number(path) not in self._kept:
+            return False
+        self._let_first_go()
+        before = self._finished and part_number(self._finished[-1]) in self._kept
+        for one in ([self._finished.pop()] if before else []) + [path]:
+            kept = one.with_name(f"{one.stem}-kept{one.suffix}")
+            with suppress(OSError):  # Its name stays, and it is not removed.
+                if not kept.exists():
+                    one.rename(kept)
+        sync_folder(path.parent)
+        return True
 
     def _make_room(self) -> bool:
         """Remove the oldest finished file that can be removed; return False if there is none."""

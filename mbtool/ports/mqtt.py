@@ -5,8 +5,11 @@
 # takes them out, publishes each with QoS 1, and waits until the broker has confirmed it. So a slow
 # broker slows only this thread; while the broker is away, messages wait in the dictionary. paho has
 # another thread, which connects again by itself, and then sends again what was not confirmed.
+# A broker that was restarted may have lost the messages that it retained, so the latest one of each
+# topic is published again after each new connection.
 #
-# Memory: MAX_WAITING messages. Beyond that, the one that has waited longest is dropped and counted.
+# Memory: MAX_WAITING messages that wait, and as many retained ones. Beyond that, the oldest one is
+# dropped, and counted if it has not been sent.
 
 from __future__ import annotations
 
@@ -100,6 +103,8 @@ class MqttPublisher:
         self._broker = broker
         self._on_remark = on_remark
         self._waiting: OrderedDict[str, tuple[bytes, bool]] = OrderedDict()
+        self._retained: OrderedDict[str, bytes] = OrderedDict()
+        """The latest message of each topic that the broker shall retain, the oldest first."""
         self._changed = threading.Condition()
         self._is_connected = threading.Event()
         self._is_ending = False
@@ -163,6 +168,11 @@ class MqttPublisher:
                 self._waiting.popitem(last=False)
                 self.dropped += 1
             self._waiting[topic] = payload, retain
+            if retain:
+                self._retained[topic] = payload
+                self._retained.move_to_end(topic)
+                if len(self._retained) > MAX_WAITING:
+                    self._retained.popitem(last=False)
             self._changed.notify()
 
     def _run(self) -> None:
@@ -210,6 +220,10 @@ class MqttPublisher:
         if self._was_told:
             self._on_remark(f"mqtt {self._place}: connected")
         self._was_told = False
+        with self._changed:
+            for topic, payload in self._retained.items():
+                self._waiting.setdefault(topic, (payload, True))
+            self._changed.notify()
         self._is_connected.set()
 
     def _disconnected(self, *_: object) -> None:

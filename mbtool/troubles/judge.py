@@ -30,6 +30,7 @@ from mbtool.troubles.network_senses import network_senses
 from mbtool.troubles.polling import polling_troubles
 from mbtool.troubles.trouble import MAX_OTHERS, Sureness, Trouble
 from mbtool.troubles.units import unit_troubles
+from mbtool.troubles.value_faults import ValueFaults
 from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.account import Account
+    from mbtool.ledger.answered_reads import AnsweredReads
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
@@ -139,10 +141,11 @@ class Judge:
         ended."""
         self._context = context or CaptureContext()
         self._cases = Cases()
+        self._values = ValueFaults(self._context.assignments)
         of_lines, of_networks = line_senses(self._context), network_senses(self._cases)
-        self._of_lines = (self._cases, *of_lines)
+        self._of_lines = (self._cases, self._values, *of_lines)
         """The senses that take the transactions of serial lines."""
-        self._of_networks = (self._cases, *of_networks)
+        self._of_networks = (self._cases, self._values, *of_networks)
         self._senses = (*self._of_lines, *of_networks)
         self._checker: Checker | None = None
         """The rules, with what they remember of the present capture; None outside of a capture."""
@@ -185,10 +188,11 @@ class Judge:
             for sense in self._of_lines if record.transport.is_serial else self._of_networks:
                 sense.transaction(record)
 
-    def count_run(self, run: AnsweredRun) -> None:
-        """Count many answered requests of a network together."""
+    def count_run(self, run: AnsweredRun, reads: Sequence[AnsweredReads] = ()) -> None:
+        """Count many answered requests of a network together. `reads` has their values."""
         for sense in self._senses:
             sense.run(run)
+        self._values.reads(reads)
         self.ledger.add_run(run)
 
     def check(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:

@@ -243,6 +243,57 @@ _ROWS = (
         "find out what changed then in the device or behind it: load, firmware, a gateway's line",
         "unit", "slower{since}, {mean}",
     ),
+    # Values.
+    Words(
+        "VALUE-NOT-VALID", _W,
+        '{who} says "{text}" in {value} ({times} of {of}){more}',
+        "do not use the values that this is about; look at their sensors and wires",
+        "unit", 'says "{text}"',
+    ),
+    Words(
+        "VALUE-NONE", _W,
+        "{value} of {who} is {word} ({number}) in {times} of {of}, which means no value in many "
+        "devices{more}",
+        "let the master take it as missing, look why the device has no value then, and write "
+        "no_value into the profile",
+        "unit", "{value} without a value",
+    ),
+    Words(
+        "VALUE-RANGE", _W,
+        "{value} of {who} is {number} ({times} of {of}); its profile allows {range}{more}",
+        "check the sensor and its wires, or correct the range in the profile",
+        "unit", "{value} out of range",
+    ),
+    Words(
+        "VALUE-STUCK", _W,
+        "{value} of {who} stays at {number} for {rest}, while values beside it move as "
+        "before{more}",
+        "compare it with what it measures: a sensor, or the program that copies the value, may "
+        "have stopped",
+        "unit", "{value} stuck",
+    ),
+    Words(
+        "VALUE-JUMPED", _W,
+        "{value} of {who} jumps from {before} to {after}, while its steps are at most {usual} "
+        "otherwise{more}",
+        "look at what happened then: a loose contact, a disturbed wire, or halves of a number that "
+        "were read at different times make such values",
+        "unit", "{value} jumped",
+    ),
+    Words(
+        "VALUE-RESET", _W,
+        "{value} of {who} only rises, and falls from {before} to {after}{more}",
+        "find out if the device restarted or was set back then, and let what adds up the counter "
+        "expect it",
+        "unit", "{value} reset",
+    ),
+    Words(
+        "VALUE-BACKWARDS", _W,
+        "{value} of {who} only rises otherwise, and runs back from {before} to {after}{more}",
+        "look at what counts: a turned direction, a replaced device, or halves of a number that "
+        "were read at different times",
+        "unit", "{value} ran backwards",
+    ),
     # Polling.
     Words(
         "POLL-LATE", _W,

@@ -13,10 +13,11 @@ import re
 import subprocess
 from contextlib import ExitStack
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TypeAlias
 
 from mbtool.core import UsageError, WireEvent
 from mbtool.logs.points import PointChanges
+from mbtool.logs.rotation import RotatingLog
 from mbtool.ports.clock import now_ns
 from mbtool.troubles.words import WORDS
 from mbtool.views.openmetrics import openmetrics
@@ -28,15 +29,21 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import PointMessage
+    from mbtool.logs.writer import LogWriter
     from mbtool.ports.metrics_server import MetricsServer
     from mbtool.ports.mqtt import MqttPublisher
     from mbtool.troubles.trouble import Trouble
     from mbtool.workflows.stats import LiveStatistics
 
+Key: TypeAlias = tuple[str, str, int | None, str]
+"""The code, link, unit and master of a trouble, by which it is known again."""
+
 REFRESH_NS = 1_000_000_000
 SHARE = 20
 MAX_RUNNING = 4
 """At most so many commands run at once; a trouble that comes meanwhile waits."""
+MAX_ANNOUNCED = 65_536
+"""After so many topics Home Assistant is told of each one again."""
 DISCOVERY = "homeassistant"
 """The topic below which Home Assistant looks for devices."""
 _NO_ID = re.compile(r"[^A-Za-z0-9_-]+")
@@ -51,12 +58,17 @@ class LiveOut:
         server: MetricsServer | None,
         commands: Sequence[tuple[str, str]],
         on_remark: Callable[[str], None],
+        kept_codes: Sequence[str] = (),
     ) -> None:
-        """`commands` are pairs of the beginning of a trouble's code and a command of the shell."""
+        """`commands` are pairs of the beginning of a trouble's code and a command of the shell.
+
+        `kept_codes` are the beginnings of the codes of troubles around which the log is kept.
+        """
         self._values = None if publisher is None else PublishedValues(publisher)
         self._publisher = publisher
         self._server = server
         self._commands = None if not commands else TroubleCommands(commands, on_remark)
+        self._kept = KeptFiles(kept_codes) if kept_codes else None
         self._opened = ExitStack()
         self._next_ns = 0
 
@@ -81,9 +93,19 @@ class LiveOut:
         """The address at which metrics are served; None if they are not."""
         return None if self._server is None else self._server.place
 
+    def keep_files_of(
+        self, create: Callable[[], LogWriter | RotatingLog]
+    ) -> LogWriter | RotatingLog:
+        """Call `create`, and return its log; if it is rotated, files are kept around troubles."""
+        log = create()
+        if self._kept is not None and isinstance(log, RotatingLog):
+            self._kept.keep = log.keep_around
+        return log
+
     def look(self, at_ns: int, live: LiveStatistics) -> None:
         """Judge, if it is time again, and pass on the metrics and the troubles."""
-        if (self._server is None and self._commands is None) or at_ns < self._next_ns:
+        users = (self._server, self._commands, self._kept)
+        if all(one is None for one in users) or at_ns < self._next_ns:
             return
         live.advance(at_ns)
         judged = live.judgement()
@@ -91,6 +113,8 @@ class LiveOut:
             self._server.text = openmetrics(judged).encode()
         if self._commands is not None:
             self._commands.take(judged.troubles)
+        if self._kept is not None:
+            self._kept.take(judged.troubles)
         done_ns = now_ns()
         self._next_ns = done_ns + max(REFRESH_NS, SHARE * (done_ns - at_ns))
 
@@ -98,7 +122,7 @@ class LiveOut:
 class PublishedValues:
     """Publishes named values when they change, and says to Home Assistant what they are."""
 
-    # Memory: the topics that were announced, and what PointChanges keeps.
+    # Memory: MAX_ANNOUNCED topics, and what PointChanges keeps.
 
     def __init__(self, publisher: MqttPublisher) -> None:
         self._publisher = publisher
@@ -110,6 +134,8 @@ class PublishedValues:
         ts_ns = transaction.response_ns or transaction.start_ns
         for point in self._changes.changes(transaction, ts_ns):
             topic = f"{_part(point.link)}/unit_{point.unit_id}/{_part(point.name)}"
+            if len(self._announced) >= MAX_ANNOUNCED:
+                self._announced.clear()
             if topic not in self._announced:
                 self._announced.add(topic)
                 self._announce(point, topic)
@@ -142,6 +168,33 @@ class PublishedValues:
         self._publisher.publish_at(where, json.dumps(config).encode(), retain=True)
 
 
+class KeptFiles:
+    """Keeps the files of a rotated log around each case of a trouble."""
+
+    def __init__(self, codes: Sequence[str]) -> None:
+        """`codes` are the beginnings of the codes of these troubles.
+
+        Raises UsageError if no code of a trouble begins like one of them.
+        """
+        for code in codes:
+            _check_code(code, "--keep-around")
+        self._codes = tuple(codes)
+        self._counts: dict[Key, int] = {}
+        self.keep: Callable[[], None] = lambda: None
+        """A function that keeps the present file and its neighbours."""
+
+    def take(self, troubles: Sequence[Trouble]) -> None:
+        """Keep the present files if a trouble is new or has more cases than before."""
+        is_due = False
+        for trouble in (each for one in troubles for each in one.all):
+            if trouble.code.startswith(self._codes):
+                key = _key_of(trouble)
+                is_due = is_due or trouble.count > self._counts.get(key, 0)
+                self._counts[key] = trouble.count
+        if is_due:
+            self.keep()
+
+
 class TroubleCommands:
     """Runs a command of the user when a trouble is told for the first time."""
 
@@ -150,18 +203,17 @@ class TroubleCommands:
     ) -> None:
         """Raises UsageError if no code of a trouble begins like the first of a pair."""
         for code, _ in commands:
-            if not any(one.startswith(code) for one in WORDS):
-                raise UsageError(f"--on {code}: no trouble has such a code; docs/troubles.md")
+            _check_code(code, "--on")
         self._commands = commands
         self._on_remark = on_remark
-        self._told: set[tuple[str, str, int | None, str]] = set()
+        self._told: set[Key] = set()
         self._running: list[subprocess.Popen[bytes]] = []
 
     def take(self, troubles: Sequence[Trouble]) -> None:
         """Run the commands of troubles that were not told before."""
         self._running = [one for one in self._running if one.poll() is None]
         for trouble in (each for one in troubles for each in one.all):
-            key = (trouble.code, trouble.link, trouble.unit, trouble.master)
+            key = _key_of(trouble)
             fitting = [line for code, line in self._commands if trouble.code.startswith(code)]
             if key in self._told or not fitting:
                 continue
@@ -194,6 +246,15 @@ class TroubleCommands:
             self._on_remark(f"--on {trouble.code}: the command cannot be run: {error}")
         else:
             self._running.append(process)
+
+
+def _check_code(code: str, option: str) -> None:
+    if not any(one.startswith(code) for one in WORDS):
+        raise UsageError(f"{option} {code}: no trouble has such a code; docs/troubles.md")
+
+
+def _key_of(trouble: Trouble) -> Key:
+    return trouble.code, trouble.link, trouble.unit, trouble.master
 
 
 def _part(text: str) -> str:

@@ -134,3 +134,40 @@ def test_the_first_file_must_not_exist(tmp_path: Path) -> None:
     (tmp_path / "x-0001.mcap").write_bytes(b"evidence")
     with pytest.raises(UsageError, match="the file exists"):
         RotatingLog(tmp_path / "x.mcap", Rotation(size=1_000), capture={})
+
+
+def test_files_around_a_trouble_are_kept_and_leave_the_series(tmp_path: Path) -> None:
+    log = RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}, keep=3)
+    for number in range(12):
+        if number == 5:  # The sixth file is the present one, still empty.
+            log.keep_around()
+        log.write(chunk(number))
+        log.tick(number * SECOND_NS)
+    log.close()
+    kept = [f"x-{number:04}-kept.mcap" for number in (5, 6, 7)]
+    left = [f"x-{number:04}.mcap" for number in (11, 12, 13)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*kept, *left]
+    assert [list(read_log(tmp_path / name)) for name in kept] == [
+        [chunk(4)],
+        [chunk(5)],
+        [chunk(6)],
+    ]
+    again = RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}, keep=2, continues=True)
+    again.close()
+    assert {*kept} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_a_run_that_ends_keeps_the_file_of_its_trouble_and_replaces_no_kept_one(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "x-0002-kept.mcap").write_bytes(b"of an earlier run")
+    log = RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}, keep=3)
+    log.write(chunk(0))
+    log.tick(SECOND_NS)
+    log.keep_around()
+    log.write(chunk(1))
+    log.close()
+    names = ["x-0001-kept.mcap", "x-0002-kept.mcap", "x-0002.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert (tmp_path / "x-0002-kept.mcap").read_bytes() == b"of an earlier run"
+    assert list(read_log(tmp_path / "x-0002.mcap")) == [chunk(1)]

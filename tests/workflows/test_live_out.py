@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.core import UsageError
 from mbtool.troubles.trouble import Trouble
-from mbtool.workflows.live_out import TroubleCommands, _id
+from mbtool.workflows.live_out import KeptFiles, TroubleCommands, _id
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,3 +36,18 @@ def test_a_command_runs_for_each_trouble_of_a_group(tmp_path: Path) -> None:
         for process in commands._running:
             process.wait()
     assert sorted(one.name for one in tmp_path.iterdir()) == ["1", "2", "3"]
+
+
+def test_files_are_kept_for_each_new_case_of_a_trouble() -> None:
+    def missing(count: int) -> Trouble:
+        return Trouble(code="UNIT-MISSING", link="/dev/a", unit=1, count=count)
+
+    late = Trouble(code="LINE-LATE", link="/dev/a")
+    kept: list[int] = []
+    files = KeptFiles(["UNIT-"])
+    for look, troubles in enumerate(([late], [missing(1)], [missing(1), late], [], [missing(2)])):
+        files.keep = partial(kept.append, look)
+        files.take(troubles)
+    assert kept == [1, 4]
+    with pytest.raises(UsageError, match="--keep-around NOSUCH"):
+        KeptFiles(["NOSUCH"])
