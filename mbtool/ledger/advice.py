@@ -21,8 +21,11 @@ from mbtool.modbus import FUNCTIONS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from mbtool.core import SerialFormat
+    from mbtool.devices import Profile
     from mbtool.ledger.poll_cycle import PollList, PollStep
     from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.statistics_report import LinkReport
 
 _REFUSALS = (2, 3, 4)
 _WAITS = 3.0
@@ -66,6 +69,40 @@ class CycleAdvice:
     def cycle_then_ns(self) -> int:
         """The duration of a cycle if the master goes on as soon as it does today."""
         return self.cycle_ns - self.busy_ns + self.busy_then_ns
+
+
+Advised = tuple[str, str, CycleAdvice]
+"""The link, the master (empty on a serial line) and the advice."""
+
+
+def advice_of(
+    links: Iterable[LinkReport],
+    format_of: Callable[[str], SerialFormat | None],
+    profile_named: Callable[[str], Profile | None],
+) -> list[Advised]:
+    """Return the advice on all polled lists of links.
+
+    `format_of` returns the settings of a serial line; `profile_named` the profile of this name,
+    None if it is not in use.
+    """
+    found: list[Advised] = []
+    for link in links:
+        format_ = format_of(link.name) if link.is_serial else None
+        character_ns = None if format_ is None else float(format_.character_ns)
+        polls = [one.poll for one in link.polls]
+        devices = {one.key.unit: one.device for one in polls if one.device is not None}
+
+        def limit_of(unit: int, function: int, devices: dict[int, str] = devices) -> int | None:
+            profile = profile_named(devices.get(unit, ""))
+            rule = None if profile is None else profile.rule(function)
+            return None if rule is None else rule.limit
+
+        for master in link.masters:
+            for each in master.lists.lists:
+                advice = advise(each, polls, character_ns, limit_of)
+                if advice is not None:
+                    found.append((link.name, master.master, advice))
+    return found
 
 
 def advise(

@@ -11,10 +11,7 @@ from mbtool.modbus import FUNCTIONS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.ledger.advice import CycleAdvice, MergedRead
-
-Advised = tuple[str, str, "CycleAdvice"]
-"""The link, the master (empty on a serial line) and the advice."""
+    from mbtool.ledger.advice import Advised, CycleAdvice, MergedRead
 
 
 def advice_lines(found: Sequence[Advised]) -> list[str]:

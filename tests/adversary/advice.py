@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 CYCLES = 6
 ROUNDS = 3
 """Both lists are recorded so many times in turn, as the load of the machine changes."""
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +124,10 @@ def is_refused(client: ModbusSerialClient, ask: Ask) -> bool | None:
     try:
         return bool(read(ask.address, count=ask.quantity, device_id=ask.unit).isError())
     except ModbusException:
+        # What comes late would be taken for the next answer.
+        client.close()  # type: ignore[no-untyped-call]
+        time.sleep(1)
+        client.connect()
         return None
 
 
