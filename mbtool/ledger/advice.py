@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from mbtool.core import SerialFormat
     from mbtool.devices import Profile
@@ -32,6 +32,8 @@ _WAITS = 3.0
 """A master waits between cycles if that pause is longer than so many of the others, and more than
 _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
+_BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
+_MOST_BAUDS = 2
 _SURE = 2.5
 """A time for each register is taken as measured from so many standard errors on."""
 
@@ -79,7 +81,22 @@ class CycleAdvice:
         return self.busy_then_ns + self.wait_ns + held_up_then_ns
 
 
-Advised = tuple[str, str, CycleAdvice]
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The time that the requests of a list on a serial line take, and would take, in ns."""
+
+    baud: int
+    units: int
+    cycle_ns: int
+    busy_ns: int
+    with_unit_ns: int
+    """How much longer it takes with one unit more that is asked as those of the list are."""
+    at_bauds: tuple[tuple[int, int], ...]
+    """Faster baud rates, each with how much shorter it takes: only characters become shorter."""
+    waits: bool
+
+
+Advised = tuple[str, str, CycleAdvice | Forecast]
 """The link, the master (empty on a serial line) and the advice."""
 
 
@@ -110,7 +127,50 @@ def advice_of(
                 advice = advise(each, polls, character_ns, limit_of)
                 if advice is not None:
                     found.append((link.name, master.master, advice))
+                if format_ is not None:
+                    characters = {
+                        id(poll.poll): poll.line_time.characters_ns / poll.poll.tally.requests
+                        for poll in link.polls
+                        if poll.line_time is not None and poll.poll.tally.requests
+                    }
+                    more = forecast(each, format_.baud, characters)
+                    found.append((link.name, master.master, more))
     return found
+
+
+def forecast(one: PollList[PollStatistics], baud: int, characters: Mapping[int, float]) -> Forecast:
+    """Return what a list would take with one unit more, and at other baud rates.
+
+    `characters` has the time (ns) that the characters of a request and its response take on the
+    line, by the id of the poll.
+    """
+    pause_ns, busy_ns = _pause_and_busy(one)
+    units = len({step.poll.key.unit for step in one.steps})
+    own_ns = sum(characters.get(id(step.poll), 0.0) for step in one.steps)
+    return Forecast(
+        baud=baud,
+        units=units,
+        cycle_ns=one.period_ns,
+        busy_ns=busy_ns,
+        with_unit_ns=(busy_ns + pause_ns) // units,
+        at_bauds=tuple(
+            (faster, round(own_ns * (1 - baud / faster))) for faster in _BAUDS if faster > baud
+        )[:_MOST_BAUDS],
+        waits=_is_waiting(one, pause_ns),
+    )
+
+
+def _pause_and_busy(one: PollList[PollStatistics]) -> tuple[int, int]:
+    """Return the median pause between the requests of a list, and the time from the first request
+    to the last response (ns).
+    """
+    pauses = [step.pause_ns for step in one.steps[1:]]
+    pause_ns = int(median(pauses)) if pauses else 0
+    return pause_ns, sum(step.took_ns for step in one.steps) + sum(pauses)
+
+
+def _is_waiting(one: PollList[PollStatistics], pause_ns: int) -> bool:
+    return one.steps[0].pause_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS)
 
 
 def advise(
@@ -157,10 +217,7 @@ def advise(
                 )
     if not merged:
         return None
-    pauses = [step.pause_ns for step in one.steps[1:]]
-    pause_ns = int(median(pauses)) if pauses else 0
-    busy_ns = sum(step.took_ns for step in one.steps) + sum(pauses)
-    wait_ns = one.steps[0].pause_ns
+    pause_ns, busy_ns = _pause_and_busy(one)
     return CycleAdvice(
         merged=tuple(sorted(merged, key=lambda each: (each.unit, each.function, each.address))),
         requests=len(one.steps),
@@ -168,8 +225,8 @@ def advise(
         busy_ns=busy_ns,
         busy_then_ns=max(busy_ns - saved_ns - saved * pause_ns, 0),
         cycle_ns=one.period_ns,
-        wait_ns=wait_ns,
-        waits=wait_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS),
+        wait_ns=one.steps[0].pause_ns,
+        waits=_is_waiting(one, pause_ns),
     )
 
 

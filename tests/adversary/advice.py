@@ -206,6 +206,7 @@ def advised(log: Path, device: Path, units: int) -> Any:
     ]
     arguments = [sys.executable, "-m", "mbtool", "stats", str(log), "--advice", "--json", *devices]
     found = json.loads(subprocess.run(arguments, capture_output=True, check=True).stdout)
+    found = [one for one in found if "reads" in one]
     return max(found, key=lambda one: one["requests"]) if found else None
 
 
