@@ -12,6 +12,7 @@ from mbtool.cli.option_groups import OptionGroup
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.live_out import LiveOut
 
 
@@ -57,8 +58,8 @@ class LiveOutOptions(OptionGroup):
         ),
     ] = None
 
-    def open(self, on_remark: Callable[[str], None]) -> LiveOut:
-        """Return what the options ask for, not yet entered.
+    def open(self, on_remark: Callable[[str], None], allowed: AllowedPeers) -> LiveOut:
+        """Return what the options ask for, not yet entered. `allowed` may fetch the metrics.
 
         Raises UsageError for an option that is wrong, or a package that is missing.
         """
@@ -76,5 +77,5 @@ class LiveOutOptions(OptionGroup):
         publisher = None
         if self.mqtt is not None:
             publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
-        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics))
+        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics), allowed)
         return LiveOut(publisher, server, commands, on_remark, self.keep_around or ())
