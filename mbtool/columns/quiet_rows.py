@@ -133,6 +133,12 @@ class _QuietBlock:
         _, kind = np.unique(asked, return_inverse=True)
         _, poll = np.unique(kind << 32 | self._unit, return_inverse=True)
         self._poll = narrow(poll)
+        self._master_poll = self._poll
+        """By row, the number of its poll, where equal requests of two masters are two polls."""
+        if self._link_host.max(initial=0) > link.max(initial=0):
+            of_masters = self._link_host[self._connection] << 8 | rows.unit
+            _, poll = np.unique(kind << 32 | of_masters, return_inverse=True)
+            self._master_poll = narrow(poll)
         self._known = known
         self._row_items = self._rows_before = self._events_before = np.zeros(0, np.int64)
         """The item of each row; for each item, the number of rows (events) before it."""
@@ -226,7 +232,7 @@ class _QuietBlock:
         first, last = self.rows_of(begin, end)
         return QuietRun(
             self._quiet_connections(begin, end),
-            lambda: [self._quiet_poll(places) for places in _alike(self._poll, first, last)],
+            lambda: [self._quiet_poll(places) for places in _alike(self._master_poll, first, last)],
             lambda: self._quiet_writes(first, last),
             self.transaction,
             self._events.last_ns(*self._events_before[[begin, end]].tolist()),
@@ -293,8 +299,10 @@ class _QuietBlock:
 
     def _quiet_poll(self, places: Int64s) -> QuietPoll:
         rows, usual, first = self._rows, self._usual, int(places[0])
+        connection = rows.connections[rows.connection[first]]
         return QuietPoll(
-            rows.connections[rows.connection[first]].link,
+            connection.link,
+            connection.master.host,
             int(rows.unit[first]),
             int(rows.code[first]),
             int(usual.address[first]),

@@ -11,8 +11,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from statistics import median
+from statistics import linear_regression, mean, median
 from typing import TYPE_CHECKING
 
 from mbtool.modbus import FUNCTIONS
@@ -28,6 +29,8 @@ _WAITS = 3.0
 """A master waits between cycles if that pause is longer than so many of the others, and more than
 _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
+_SURE = 2.5
+"""A time for each register is taken as measured from so many standard errors on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,17 +194,22 @@ def _predicted(
     bytes_of_one = 1 / 8 if is_bits else 2
     least = 0.0 if character_ns is None else character_ns * bytes_of_one
     points = [(_quantity(step.poll), step.took_ns) for step in steps]
-    each = max(_slope(points), least)
+    each = _time_of_one(points, least)
     fixed = median(took - each * count for count, took in points)
     return round(fixed + each * quantity)
 
 
-def _slope(points: Sequence[tuple[int, int]]) -> float:
-    """The median slope of all pairs of points (Theil and Sen); 0 if there is none."""
-    slopes = [
-        (took - other_took) / (count - other)
-        for at, (count, took) in enumerate(points)
-        for other, other_took in points[:at]
-        if count != other
-    ]
-    return median(slopes) if slopes else 0.0
+def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
+    """The time (ns) that one register or bit more takes, by least squares; at least `least`.
+
+    `least` is returned as well if what is more may be chance: less than SURE standard errors.
+    """
+    counts = [count for count, _ in points]
+    if len(points) < 3 or len(set(counts)) < 2:
+        return least
+    slope, offset = linear_regression(counts, [took for _, took in points])
+    rest = sum((took - offset - slope * count) ** 2 for count, took in points)
+    middle = mean(counts)
+    width = sum((count - middle) ** 2 for count in counts)
+    error = math.sqrt(rest / (len(points) - 2) / width)
+    return slope if slope - least > _SURE * error else least

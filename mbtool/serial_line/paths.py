@@ -126,8 +126,8 @@ def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segme
     cheapest first. All bytes behind the returned segments, up to the offset `end`, become one
     incomplete segment.
     """
-    other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
-    segments = with_confidence([incomplete, *ends])
+    other = {one.identity for one in merge_skipped(with_confidence(ends))} if ends else set()
+    segments = merge_skipped(with_confidence([incomplete, *ends]))
     settled = list(takewhile(lambda segment: segment.identity in other, segments))
     while settled and settled[-1].kind is SegmentKind.SKIPPED:
         settled.pop()  # More skipped bytes may follow.

@@ -27,6 +27,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import nlargest
 from itertools import pairwise, product
+from operator import itemgetter
 from statistics import median, pstdev
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -62,6 +63,10 @@ _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 
 _FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 _UNSEEN_DIGIT = 1.4
 """A register with a digit more than the display shows is less probable by exp of this."""
+_DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
+"""By this share of itself, a value may differ a little before the recording, or after it."""
+_BETWEEN = 1e-3
+"""The factor for a number that is between two whole numbers of a register, as it cannot show it."""
 _REACH = 8
 _NEGLIGIBLE = 1e-9
 _MOST_IDEAS = 200
@@ -195,6 +200,8 @@ def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
                 continue
             probability = share * idea.weight * (1.0 if is_float else less)
             for seen in sightings:
+                if not is_float and abs(seen.value - round(seen.value)) > seen.tolerance * 1.001:
+                    probability *= _BETWEEN
                 probability *= _probability(seen, idea)
                 if probability < _NEGLIGIBLE * NOWHERE:
                     break
@@ -219,19 +226,22 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
     }
     done: set[tuple[Table, int, WordReading]] = set()
     in_order = sorted(slave.histories, key=lambda one: (one.is_written, -len(one.rows)))
+    found_at: dict[tuple[Table, int], list[tuple[WordReading, Sequence[float]]]] = {}
     for history in in_order:
         for address in range(history.first, history.stop):
-            found: list[tuple[WordReading, Sequence[float]]] = []
+            found = found_at.setdefault((history.table, address), [])
+            merged: dict[int, WordHistory] = {}
             own = inside.get((history.table, address))
             for reading in sorted(_READINGS, key=lambda one: not _is_judged(one, own, address)):
                 if address + reading.words > history.stop:
                     continue
                 if (history.table, address, reading) in done:
                     continue
-                begin = address - history.first
-                columns = [
-                    [row[begin + word] for row in history.rows] for word in range(reading.words)
-                ]
+                own_history = merged.get(reading.words)
+                if own_history is None:
+                    own_history = _history_of(in_order, history, address, reading.words)
+                    merged[reading.words] = own_history
+                columns = list(zip(*own_history.rows, strict=True))
                 numbers = numbers_in(columns, reading)
                 if numbers is None or not _is_plausible(numbers, reading):
                     continue
@@ -241,10 +251,12 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
                 found.append((reading, numbers))
                 weight = _weight(reading, own, address)
                 low, high, spread = min(numbers), max(numbers), pstdev(numbers)
-                drift = 3 * spread + 0.004 * max(abs(low), abs(high))
+                drift = 3 * spread + (_DRIFT if spread else _DRIFT_OF_CONSTANT) * max(
+                    abs(low), abs(high)
+                )
                 yield _Idea(
                     slave=slave,
-                    history=history,
+                    history=own_history,
                     address=address,
                     reading=reading,
                     weight=weight,
@@ -257,6 +269,31 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
                     middle=(low + high) / 2,
                     reach=(high - low) / 2 + _REACH * drift,
                 )
+
+
+def _history_of(
+    histories: Sequence[WordHistory], like: WordHistory, address: int, words: int
+) -> WordHistory:
+    """Return the words of some registers, from all requests that read (or write) them."""
+    rows = [
+        (at_ns, row[address - one.first : address - one.first + words])
+        for one in histories
+        if _covers(one, like, address, words)
+        for at_ns, row in zip(one.times_ns, one.rows, strict=True)
+    ]
+    rows.sort(key=itemgetter(0))
+    times, some = zip(*rows, strict=True)
+    return like._replace(first=address, times_ns=times, rows=some)
+
+
+def _covers(one: WordHistory, like: WordHistory, address: int, words: int) -> bool:
+    """True if a history has some registers, and is of the table and kind of another one."""
+    return (
+        one.table is like.table
+        and one.is_written == like.is_written
+        and one.first <= address
+        and address + words <= one.stop
+    )
 
 
 _READINGS = (
@@ -340,21 +377,15 @@ def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float
 
 def _around(idea: _Idea, at_ns: int) -> Sequence[float]:
     """The numbers right before and after a time."""
-    for exact in idea.slave.exact.get(at_ns, ()):
-        if (
-            exact.table is idea.history.table
-            and exact.first <= idea.address
-            and idea.address + idea.reading.words <= exact.stop
-            and exact.is_written == idea.history.is_written
-        ):
-            begin = idea.address - exact.first
-            columns = [
-                [row[begin + word] for row in exact.rows] for word in range(idea.reading.words)
-            ]
-            return numbers_in(columns, idea.reading) or ()
-    times = idea.history.times_ns
-    after = bisect_right(times, at_ns)
-    return idea.numbers[max(after - 1, 0) : after + 1]
+    exact = idea.slave.exact.get(at_ns, ())
+    words = idea.reading.words
+    if any(_covers(one, idea.history, idea.address, words) for one in exact):
+        history = _history_of(exact, idea.history, idea.address, words)
+        numbers = numbers_in(list(zip(*history.rows, strict=True)), idea.reading) or ()
+    else:
+        history, numbers = idea.history, idea.numbers
+    after = bisect_right(history.times_ns, at_ns)
+    return numbers[max(after - 1, 0) : after + 1]
 
 
 def _with_strides(

@@ -237,7 +237,7 @@ INPUTS = {
     "requests only, 100 a segment": Input(many_in_a_segment, 50_000, "ordinary"),
     "pipelined with one id": Input(pipelined, 10_000, "ordinary"),
     "pipelined with one id, with loss": Input(lossy_pipelined, 10_000, "ordinary"),
-    "connections with a request": Input(connections, 16_000, "ordinary"),
+    "connections with a request": Input(connections, 65_535, "ordinary"),
     "holes": Input(holes, 10_000, "ordinary"),
     "another protocol, any port": Input(chat, 5_000, "ordinary", any_port=True),
     "ordinary log": Input(ordinary_log, 10_000, "ordinary log"),

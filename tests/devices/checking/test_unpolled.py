@@ -29,7 +29,12 @@ class Asked:
         self.now_ns += 1
         finding = Finding(code="SEC-201", message="{count}: {examples}", ts_ns=self.now_ns, link="")
         return self.things.note(
-            SCOPE, item, request, lambda: (str(item), finding), is_answered=is_answered
+            SCOPE,
+            item,
+            request,
+            lambda: (str(item), finding),
+            at_ns=self.now_ns,
+            is_answered=is_answered,
         )
 
     def found(self) -> list[str]:
