@@ -509,6 +509,7 @@ class RtuSplitter:
         if (
             pdu[0] in WRITE_SEVERAL
             and self._speaker is None
+            and classification.direction is Direction.REQUEST
             and self._model.may_be_whole_echo(unit, pdu, start_ns)
             and not self._data.startswith(raw[:USUAL_ECHO], size)
         ):
