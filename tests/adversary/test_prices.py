@@ -49,7 +49,7 @@ beginning, until the line is known to be in doubt."""
 DEAR = {
     "line: set points without echoes": 18,
     "line: one unknown function": 16,
-    "line: pairs of an unknown function": 14,
+    "line: pairs of an unknown function": 22,
     "line: random functions": 12,
     "line: heads before writes": 32,
 }
