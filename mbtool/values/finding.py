@@ -43,7 +43,9 @@ if TYPE_CHECKING:
 MOST_SHOWN = 100
 """At most this many places are returned for a number."""
 NOWHERE = 1e-5
-"""How probable a number is that is in no register."""
+"""How probable a number is that is in no register, at most."""
+_NOWHERE_OF_ITS_SIZE = 0.01
+"""The same, as a share of its tolerance: one of many digits matches a register by chance seldom."""
 _UNJUDGED = 0.02
 """The share of a reading that the judgement does not favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
@@ -157,9 +159,10 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
     """Return the places of each wanted number, the most probable first."""
     ideas = [idea for slave in slaves for idea in _ideas(slave)]
     scores = [_scores(one, ideas) for one in wanted]
+    nowhere = [_nowhere(one) for one in wanted]
     for _ in range(_STRIDE_ROUNDS if len(wanted) > 2 else 0):
-        scores = _with_strides(scores, _balanced(scores, ideas), ideas)
-    shares = _balanced(scores, ideas)
+        scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
+    shares = _balanced(scores, nowhere, ideas)
     return [
         [
             FoundPlace(
@@ -176,6 +179,14 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
         ]
         for own in shares
     ]
+
+
+def _nowhere(one: Wanted) -> float:
+    """How probable what was seen is, if it is in no register."""
+    finest = min(
+        (seen.tolerance / abs(seen.value) for seen in one.sightings if seen.value), default=1.0
+    )
+    return max(min(NOWHERE, _NOWHERE_OF_ITS_SIZE * finest), NOWHERE * _NEGLIGIBLE)
 
 
 def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
@@ -245,6 +256,8 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
                 numbers = numbers_in(columns, reading)
                 if numbers is None or not _is_plausible(numbers, reading):
                     continue
+                if _is_shorter(numbers, reading) and not _is_judged(reading, own, address):
+                    continue
                 if any(other.words == reading.words and same == numbers for other, same in found):
                     continue
                 done.add((history.table, address, reading))
@@ -313,6 +326,15 @@ def _is_plausible(numbers: Sequence[float], reading: WordReading) -> bool:
     return all(abs(one) < 1 << 53 for one in numbers)
 
 
+def _is_shorter(numbers: Sequence[float], reading: WordReading) -> bool:
+    """True if fewer registers hold the same whole numbers."""
+    if reading.type not in (PointType.INT32, PointType.UINT32, PointType.INT64):
+        return False
+    least, most = (-0x8000, 0xFFFF) if reading.words == 2 else (-0x80000000, 0xFFFFFFFF)
+    low, high = min(numbers), max(numbers)
+    return least <= low and high <= most and (low >= 0 or high <= -least - 1)
+
+
 def _is_judged(reading: WordReading, judged: Judged | None, address: int) -> bool:
     if judged is None or judged.address != address:
         return False
@@ -369,9 +391,9 @@ def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float
     low, high = min(numbers), max(numbers)
     beyond = max(low - value, value - high, 0.0)
     if beyond <= tolerance * 1.001:
-        return min(1.0, 2 * tolerance / (high - low + 2 * tolerance))
+        return min(1.0, 2 * tolerance / ((high - low) + 2 * tolerance))
     drift = 2 * idea.step + tolerance
-    share = min(1.0, tolerance / (drift + high - low))
+    share = min(1.0, tolerance / (drift + (high - low)))
     return 0.3 * share * math.exp(-(beyond - tolerance) / drift)
 
 
@@ -435,10 +457,12 @@ def _are_alike(ideas: Sequence[_Idea], key: _Key, other: _Key) -> bool:
     )
 
 
-def _balanced(scores: Sequence[_Shares], ideas: Sequence[_Idea]) -> list[_Shares]:
+def _balanced(
+    scores: Sequence[_Shares], nowhere: Sequence[float], ideas: Sequence[_Idea]
+) -> list[_Shares]:
     """Make probabilities of scores, so that no register is much more than one number."""
     shares: list[_Shares] = [dict(own) for own in scores]
-    nowhere = [NOWHERE for _ in scores]
+    nowhere = list(nowhere)
     registers = {place: _registers(ideas[place]) for own in scores for place, _ in own}
     for left in reversed(range(_ROUNDS if len(scores) > 1 else 1)):
         for number, own in enumerate(shares):

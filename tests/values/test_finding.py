@@ -161,3 +161,10 @@ def test_a_constant_is_no_number_two_percent_away() -> None:
     places = found(Wanted("", [Sighting(23.4, 0.05)]), words_of(rows))
     assert places[0].address == 101
     assert all(one.address != 100 or one.likelihood < 0.01 for one in places)
+
+
+def test_numbers_much_larger_than_a_tolerance_raise_nothing() -> None:
+    huge = on_the_wire(struct.pack(">d", 3.3e11), "ABCD")
+    rows = [[*huge, 230 + at % 9] for at in range(60)]
+    seen = Sighting(3.4e11, 1e-9, START_NS + 5 * SECOND_NS)
+    assert found(Wanted("", [seen]), words_of(rows)) is not None
