@@ -12,6 +12,7 @@ from mbtool.cli.option_groups import OptionGroup
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.live_out import LiveOut
 
 
@@ -48,10 +49,15 @@ class LiveOutOptions(OptionGroup):
         ),
     ] = None
 
-    def open(self, on_remark: Callable[[str], None], kept_codes: Sequence[str] = ()) -> LiveOut:
+    def open(
+        self,
+        on_remark: Callable[[str], None],
+        allowed: AllowedPeers,
+        kept_codes: Sequence[str] = (),
+    ) -> LiveOut:
         """Return what the options ask for, not yet entered.
 
-        `kept_codes` are the codes of --keep-around.
+        `allowed` may fetch the metrics; `kept_codes` are the codes of --keep-around.
 
         Raises UsageError for an option that is wrong, or a package that is missing.
         """
@@ -69,5 +75,5 @@ class LiveOutOptions(OptionGroup):
         publisher = None
         if self.mqtt is not None:
             publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
-        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics))
+        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics), allowed)
         return LiveOut(publisher, server, commands, on_remark, kept_codes)

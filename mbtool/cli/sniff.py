@@ -112,8 +112,9 @@ def sniff(
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
-    told = live_out.open(lambda text: say(f"mbtool: {text}"), log.keep_around or ())
-    allowed = allowed_networks(specs, allow, connections)
+    allowed = allowed_networks(specs, allow, connections, serves=live_out.metrics is not None)
+    codes = log.keep_around or ()
+    told = live_out.open(lambda text: say(f"mbtool: {text}"), allowed, codes)
     devices, wanted = assignments(device), condition(where)
     tcp_ports = heard_ports(specs, ports)
     specs = read_only_taps(specs, tcp_ports) if read_only else specs

@@ -601,7 +601,7 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
+        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
             if now_ns > until_ns:
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "

@@ -12,6 +12,9 @@
 # pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
 # whose time has come and that was not heard is awaited, as it may come at any moment.
 #
+# A unit that did not answer in time may answer late, and its answer would be taken for that to a
+# request of ours. So it is asked again only when it has answered two polls in a row as it should.
+#
 # Bytes that a read finds at once may have come at any time since the read before, and those of a
 # process that had to wait for a processor at any time until it had one. What is doubtful by more
 # than MOST_DOUBT_NS tells nothing of a pause or a period: pauses would look far shorter.
@@ -32,6 +35,7 @@ from mbtool.core import Direction, LinkError
 from mbtool.core.wording import counted, duration
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS, Adu, function_name
+from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
 if TYPE_CHECKING:
@@ -56,6 +60,8 @@ MARGIN_NS = 20_000_000
 up to 16 ms late."""
 RELIABLE = 0.9
 """The share of the shortest pause heard that counts as the next one's length."""
+_PROOFS = 2
+"""A late answer of a unit counts as lost once the unit has answered so many polls after it."""
 _STOPPED = 1.5
 """A poll that is not heard for so many of its longest periods is no longer awaited."""
 FEW_BYTES = 8
@@ -157,6 +163,9 @@ class OtherMaster:
         """The poll whose response was the last frame, and the end of that frame in ns."""
         self._used: tuple[HeardPoll, int] | None = None
         """The same of the pause in which our last request was sent."""
+        self._owed: dict[int, int] = {}
+        """For each unit that left a request of the other master without its answer: so many polls
+        of it must be answered before a late answer counts as lost."""
         self._anew_ns = 0
         """The time since which nothing on the line was missed."""
         self._doubts: deque[tuple[int, int]] = deque(maxlen=MAX_DOUBTS)
@@ -198,11 +207,14 @@ class OtherMaster:
             self._answered = None
         if adu.direction is Direction.RESPONSE:
             if self._asked is not None and self._asked.request.unit == adu.unit:
+                self._note_owed(self._asked, adu)
                 if begins and self._asked.is_followed:
                     self._asked.note_latency(adu.start_ns - self._asked.last_ns)
                 self._answered = self._asked, adu.end_ns
             self._asked = None
             return
+        if self._asked is not None:
+            self._owed[self._asked.request.unit] = _PROOFS
         known = self.polls.get(adu.raw)
         if known is None:
             known = HeardPoll(adu, 0, adu.end_ns)
@@ -212,6 +224,16 @@ class OtherMaster:
         known.note_request(adu.end_ns)
         known.is_followed = ends
         self._asked = known
+
+    def _note_owed(self, asked: HeardPoll, response: Adu) -> None:
+        """Note if a unit may still send an answer to a request that it did not answer in time."""
+        expected = ExpectedResponse.of(asked.request.pdu)
+        if expected is not None and not expected.fits(response.pdu):
+            self._owed[response.unit] = _PROOFS
+        elif response.unit in self._owed:
+            self._owed[response.unit] -= 1
+            if not self._owed[response.unit]:
+                del self._owed[response.unit]
 
     def _is_sure(self, at_ns: int) -> bool:
         """True if the bytes around this time came when they seem to have come."""
@@ -227,11 +249,11 @@ class OtherMaster:
         """True if the pause behind each poll was heard often enough to be relied on."""
         return all(len(one.pauses) >= LEAST_SEEN for one in self.polls.values())
 
-    def rest_ns(self, now_ns: int) -> int:
+    def rest_ns(self, now_ns: int, unit: int | None = None) -> int:
         """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
-        tells.
+        tells, or if a late answer of `unit` to the other master may come.
         """
-        if self._answered is None or self._last_byte_ns > self._answered[1]:
+        if unit in self._owed or self._answered is None or self._last_byte_ns > self._answered[1]:
             return 0
         poll, end_ns = self._answered
         until_ns = end_ns + poll.pause_ns

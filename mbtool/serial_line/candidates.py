@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size
+from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size, frame_starts
 from mbtool.modbus.adu import MAX_RTU_ADU, RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
@@ -26,7 +26,7 @@ from mbtool.serial_line.bit_repair import repaired
 from mbtool.serial_line.plausibility import is_counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.serial_line.bus_model import BusModel
     from mbtool.serial_line.bus_state import BusState
@@ -42,7 +42,7 @@ LONG_SKIP = 4
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
-COUNTED = b"\x0f", b"\x10", b"\x17"
+COUNTED = frozenset(b"\x0f\x10\x17")
 """The functions whose requests carry a quantity and a byte count."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
@@ -95,21 +95,27 @@ class DamagedCandidate(msgspec.Struct, gc=False):
 
 
 class _RangeCount:
-    """Counts the offsets in a range for which `has_it` returns True; calls it once for each."""
+    """Counts the offsets in a range that have a property; looks at each once.
 
-    __slots__ = ("_before", "_has_it")
+    `having` takes two offsets; it tells for each offset from the first up to the second if it has.
+    """
 
-    def __init__(self, has_it: Callable[[int], bool]) -> None:
-        self._has_it = has_it
+    __slots__ = ("_before", "_having")
+
+    def __init__(self, having: Callable[[int, int], Iterable[bool]]) -> None:
+        self._having = having
         self._before = [0]
-        """For each offset, the number of smaller offsets for which `has_it` is True."""
+        """For each offset, the number of smaller offsets that have the property."""
 
     def count(self, first: int, end: int) -> int:
         if end <= first:
             return 0
         before = self._before
-        while len(before) <= end:
-            before.append(before[-1] + self._has_it(len(before) - 1))
+        if len(before) <= end:
+            begin, number = len(before) - 1, before[-1]
+            for has_it in self._having(begin, end):
+                number += has_it
+                before.append(number)
         return before[end] - before[first]
 
 
@@ -141,8 +147,14 @@ class Candidates:
         self._stateless: dict[int, list[DamagedCandidate]] = {}
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
-        self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
-        self._frames_after_silence = _RangeCount(self._begins_after_silence)
+        self._all_frames = _RangeCount(
+            lambda first, end: frame_starts(window.data, first, end, roles)
+        )
+        self._frames_after_silence = _RangeCount(
+            lambda first, end: [
+                window.silences[at] and self._begins_after_silence(at) for at in range(first, end)
+            ]
+        )
         self._silences = [0, 0, *accumulate(window.silences[1:])]
         """For each offset, the number of bytes before it that directly follow a silence of t3.5."""
 
@@ -166,13 +178,16 @@ class Candidates:
         return places[bisect_left(places, offset)]
 
     def _is_place(self, offset: int) -> bool:
+        data, history = self._data, self._model.history
         if self._window.silences[offset]:
             return True
-        head = self._data[offset : offset + 2]
-        if self._model.history.has_function(head) or begins_frame(self._data, offset, self._roles):
+        if data[offset] in history.units and history.has_function(data[offset : offset + 2]):
             return True
-        start = self._data[offset + 1 : offset + MAX_RTU_ADU]
-        return start[:1] in COUNTED and is_counted(start)
+        if offset + MIN_FRAME > self._end:
+            return False
+        if data[offset + 1] in COUNTED and is_counted(data[offset + 1 : offset + MAX_RTU_ADU]):
+            return True
+        return self._all_frames.count(offset, offset + 1) > 0
 
     def split_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of the silences of t3.5 inside the `size` bytes of a frame."""
@@ -207,12 +222,10 @@ class Candidates:
         return costs.CRC_COINCIDENCE * enclosed
 
     def _begins_after_silence(self, offset: int) -> bool:
-        """True if a silence precedes the byte at `offset` and a frame begins there.
+        """True if a frame begins at `offset`, before which a silence is.
 
         The frame has a correct CRC, and ends where its function tells or at the next silence.
         """
-        if not self._window.silences[offset]:
-            return False
         if self.frames(offset):
             return True
         burst = self._burst_size(offset)

@@ -88,9 +88,8 @@ USUAL_ECHO = 6
 """The response to 0FH or 10H repeats so many bytes: unit, function, address and quantity."""
 
 LONG_DOUBT = 48
-"""If so many more frames were found by a search than without one, searches become narrow: on so
-unclear a line, more explanations of the bytes cost time and decide little. Damage on an ordinary
-line takes a search of a few frames at a time."""
+"""If so many more frames were in doubt than not, searches become narrow: on so unclear a line, more
+explanations of the bytes cost time and decide little."""
 
 LONG_NOISE = 2 * WINDOW
 """After this many bytes without a frame, the search runs only if the buffer has a frame with a
@@ -150,7 +149,7 @@ class RtuSplitter:
         self._silences_at: list[int] = []
         """The offsets of the buffered bytes that have a silence of t3.5 before them."""
         self._doubtful = 0
-        """One more for each frame that only a search found, one less for each other frame."""
+        """One more for each frame in doubt, one less for each other frame."""
         self._is_lost = False
         """True if a narrow search was in doubt about a frame and none certain by its form followed:
         then all frames are in doubt, as only one bus state is kept."""
@@ -263,7 +262,7 @@ class RtuSplitter:
         data = self._data
         if self._last_end is not None or self._speaker is not None or len(data) < MIN_FRAME:
             return False
-        return crc(data) == 0 and len(roles_of(data[1:-2])) > 1
+        return data[0] > 0 and crc(data) == 0 and len(roles_of(data[1:-2])) > 1
 
     def _begins_due_frame(self) -> bool:
         """True if the buffered bytes are certainly the beginning of the frame that is due."""
@@ -316,7 +315,7 @@ class RtuSplitter:
                 self._emit_skipped(behind.skipped, events)
                 frame = behind.frame
             self._emit_frame(*frame, events)
-            self._doubtful = max(self._doubtful - 1, 0)
+            self._count_doubt(is_clear=True)
 
     def _frame_behind_noise(self, burst_over: bool) -> _BehindNoise | None:
         """Find a certain frame that follows the last one closely, with stray bytes between the two.
@@ -436,11 +435,12 @@ class RtuSplitter:
                 return False
             if segment.kind is SegmentKind.FRAME:
                 classified = self._classified(segment)
+                is_clear = classified.confidence >= NO_RIVAL_CONFIDENCE
+                self._count_doubt(is_clear=is_clear)
                 if is_narrow:
-                    self._is_lost |= classified.confidence < NO_RIVAL_CONFIDENCE
+                    self._is_lost |= not is_clear
                     classified = replace(classified, is_final=True)
                 self._emit_frame(size, classified, events)
-                self._doubtful = min(self._doubtful + 1, 2 * LONG_DOUBT)
                 if self._take_copy(events) or self._take_repeated(events):
                     # The search took the copy for a frame, so its later segments are wrong.
                     return True
@@ -450,6 +450,11 @@ class RtuSplitter:
                 if size >= LONG_SKIP:
                     self._hear_damage(segment, start_ns, end_ns)
         return True
+
+    def _count_doubt(self, *, is_clear: bool) -> None:
+        """Count one more frame, beyond doubt or not."""
+        doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
+        self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
         """Learn from skipped or damaged bytes, and compute the possible bus states after them."""
@@ -509,6 +514,7 @@ class RtuSplitter:
         if (
             pdu[0] in WRITE_SEVERAL
             and self._speaker is None
+            and classification.direction is Direction.REQUEST
             and self._model.may_be_whole_echo(unit, pdu, start_ns)
             and not self._data.startswith(raw[:USUAL_ECHO], size)
         ):

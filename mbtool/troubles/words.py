@@ -47,7 +47,7 @@ _ROWS = (
         "recording is so, look who changed them then",
         "line", "settings wrong",
         ("RTU-201", "RTU-202", "RTU-203", "RTU-204", "POLL-PAUSED", "LINE-NOISE", "LINE-LOST-BYTES",
-         "LINE-SAME-UNIT", "LINE-FOREIGN", *_BLAMED, *_DAMAGED),
+         "LINE-SAME-UNIT", "LINE-FOREIGN", "LINE-BIAS", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-ONE-SIDE", _E,

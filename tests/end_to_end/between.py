@@ -180,6 +180,9 @@ def _tell(number: int, one: Run) -> None:
         f"{len(one.beside.failures)} of {one.beside.asked} of pymodbus failed, without mbtool "
         f"{len(one.alone.failures)} of {one.alone.asked}"
     )
+    for row in one.ours:
+        if row["outcome"] != "no-answer" and row.get("response_values") != RIGHT:
+            _say(f"   wrong answer to ours: {row.get('response_raw')}")
     for failure in one.beside.failures:
         since_s = one.since_ours(failure)
         ours = "none of ours before" if since_s is None else f"ours {since_s:.2f} s before its end"

@@ -204,3 +204,17 @@ def test_bytes_that_were_read_late_tell_nothing_of_a_pause() -> None:
     assert other.longest_pause_ns == known_ns
     assert other.polls[READ_1].shortest_period_ns == period_ns
     assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+
+
+def test_a_unit_that_may_still_answer_the_other_master_is_not_asked() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    # Unit 1 does not answer, then answers the request before in place of the present one.
+    cycle = ((READ_1, 400), (READ_2, 20), (ANSWER_2, 8))
+    now_ns = frames(other, link, now_ns, *cycle)
+    assert other.rest_ns(now_ns + 4 * MS, unit=2) > 0
+    assert other.rest_ns(now_ns + 4 * MS, unit=1) == 0
+    late = rtu_adu(1, bytes.fromhex("03 02 0001"))
+    for answer, is_free in ((late, False), (ANSWER_1, False), (ANSWER_1, True)):
+        now_ns = frames(other, link, now_ns, (READ_1, 400), (answer, 5), *cycle[1:])
+        assert (other.rest_ns(now_ns + 4 * MS, unit=1) > 0) == is_free
