@@ -74,7 +74,12 @@ def plant(rng: Random) -> Plant:
                     at += size
             address += sum(parts) + rng.randint(1, 20)
     return Plant(
-        rng.choice((2400, 4800, 4800, 4800)), asks, rng.choice((0.0, 0.0, 0.3)), limit, blocks, units
+        rng.choice((2400, 4800, 4800, 4800)),
+        asks,
+        rng.choice((0.0, 0.0, 0.3)),
+        limit,
+        blocks,
+        units,
     )
 
 
