@@ -8,8 +8,6 @@ docs/python.md describes this interface. Nothing is loaded before it is used.
 
 from __future__ import annotations
 
-from importlib import import_module
-
 from mbtool.version import __version__
 
 TYPE_CHECKING = False  # Type checkers take this name for True; importing typing takes milliseconds.
@@ -100,6 +98,8 @@ __all__ = [
 def __getattr__(name: str) -> object:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
     module, own_name = _PLACES[name]
     value: object = getattr(import_module(f"{__name__}.{module}"), own_name)
     globals()[name] = value

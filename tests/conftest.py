@@ -26,7 +26,7 @@ settings.load_profile("same-examples")
 # --quick leaves these out: they start processes, keep to real times, try very many bytes or read
 # many captures.
 SLOW = frozenset((
-    "adversary", "benchmarks", "differential", "end_to_end", "golden", "properties",
+    "adversary", "benchmarks", "differential", "end_to_end", "golden", "power_cuts", "properties",
     "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_folder.py", "cli/test_decode_jobs.py",
     "cli/test_decode_parquet.py",
     "cli/test_environments.py",

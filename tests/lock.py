@@ -1,6 +1,6 @@
-"""Makes .ci/requirements.txt from a report of pip; docs/dependencies.md has the command.
+"""Makes .ci/requirements.txt and .ci/container.txt; docs/dependencies.md has the commands.
 
-The report lists each package that `pip install '.[test]'` chooses, with the hash of its file.
+A report of pip lists each package that it chooses, with the hash of its file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def locked(report: dict[str, Any]) -> list[Locked]:
             one["download_info"]["archive_info"]["hashes"]["sha256"],
         )
         for one in report["install"]
-        if "archive_info" in one["download_info"]
+        if "archive_info" in one["download_info"] and one["metadata"]["name"] != "mbtool"
     )
 
 

@@ -2,56 +2,102 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli import exit_codes
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
 _PROGRAM = """
-import os, signal, sys
-signal_name, module, *sys.argv[1:] = sys.argv[1:]
-signal.signal(signal.SIGINT, signal.default_int_handler)  # A shell's background job ignores it.
+import os, sys
+number, place, module, *sys.argv[1:] = sys.argv[1:]
+
+def send():
+    os.kill(os.getpid(), int(number))
+
+def send_from_a_string():
+    exec("send()")
+
+class Finalized:
+    def __del__(self):
+        send()
 
 class Interrupt:
     # Sends the signal when a module is looked for.
     def find_spec(self, name, path=None, target=None):
         if name == module:
-            os.kill(os.getpid(), getattr(signal, signal_name))
+            globals()[place]()
 
 sys.meta_path.insert(0, Interrupt())
 from mbtool.__main__ import main
 main()
 """
+_LINE = (exit_codes.INTERRUPTED, "", "interrupted\n")
 
 
-def _interrupted(signal_name: str, module: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", _PROGRAM, signal_name, module, "devices"],
+def _interrupted(
+    number: int,
+    module: str,
+    place: str = "send",
+    form: Sequence[str] = ("-c", _PROGRAM),
+    folder: Path | None = None,
+) -> tuple[int, str, str]:
+    ran = subprocess.run(
+        [sys.executable, *form, str(int(number)), place, module, "devices"],
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
+        # A shell starts a background job with SIGINT ignored, which the program would inherit.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
+    return ran.returncode, ran.stdout, ran.stderr
 
 
-@pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize(
-    ("module", "told"),
-    [("mbtool.cli.main", ""), ("typer", ""), ("mbtool.views.profile", "interrupted\n")],
-)
-def test_a_signal_while_modules_are_loaded_ends_it_and_a_command_that_has_begun_says_so(
-    signal_name: str, module: str, told: str
-) -> None:
-    ran = _interrupted(signal_name, module)
-    assert (ran.returncode, ran.stdout, ran.stderr) == (exit_codes.INTERRUPTED, "", told)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("module", ["mbtool.cli.main", "typer", "mbtool.views.profile"])
+def test_a_signal_while_modules_are_loaded_ends_it_with_a_line(number: int, module: str) -> None:
+    assert _interrupted(number, module) == _LINE
+
+
+@pytest.mark.parametrize("module", ["signal", "enum"])
+def test_ctrl_c_before_signals_are_handled_ends_it_with_a_line(module: str) -> None:
+    assert _interrupted(signal.SIGINT, module) == _LINE
+
+
+def test_ctrl_c_in_code_from_a_string_does_not_change_the_exit_code(tmp_path: Path) -> None:
+    # After such an interruption, python -m would end by SIGINT in place of its exit code.
+    (tmp_path / "program.py").write_text(_PROGRAM)
+    ran = _interrupted(
+        signal.SIGINT, "mbtool.views.profile", "send_from_a_string", ["-m", "program"], tmp_path
+    )
+    assert ran == _LINE
+
+
+def test_ctrl_c_that_python_ignores_is_repeated() -> None:
+    assert _interrupted(signal.SIGINT, "mbtool.views.profile", "Finalized") == _LINE
 
 
 def test_without_a_signal_it_runs_the_command() -> None:
-    ran = _interrupted("SIGINT", "no.such.module")
-    assert (ran.returncode, ran.stderr) == (exit_codes.DONE, "")
-    assert "fa3-at1m8x" in ran.stdout
+    code, output, told = _interrupted(signal.SIGINT, "no.such.module")
+    assert (code, told) == (exit_codes.DONE, "")
+    assert "fa3-at1m8x" in output
+
+
+def test_little_is_loaded_before_the_signals_are_handled() -> None:
+    program = "import sys, mbtool.__main__; print(*sys.modules)"
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert not {"typing", "threading", "typer", "contextlib"} & set(ran.stdout.split())
 
 
 def test_can_be_run_as_a_module() -> None:

@@ -346,6 +346,8 @@ def _sentence(run: CheckRun) -> str:
     transactions = counted(run.transactions, "transaction")
     troubles = sum(one.code in WORDS for one in judgement.troubles)
     parts = [counted(troubles, "trouble", ",")] if troubles else []
+    if troubles and not run.is_anything_wrong:
+        parts[0] += " of severity note (exit code 0)"
     if number:
         of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
         parts.append(f"{counted(number, 'finding')}{of_codes}")

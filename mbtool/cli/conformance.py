@@ -47,6 +47,14 @@ def test(
             help="Addresses that may be written; each value is put back. Repeatable.",
         ),
     ] = None,
+    broadcast: Annotated[
+        bool,
+        typer.Option(
+            "--broadcast",
+            help="On a serial line: also write the addresses of --writes as a broadcast, to all "
+            "slaves of the line.",
+        ),
+    ] = False,
     timeout: Annotated[
         float,
         typer.Option(
@@ -78,7 +86,7 @@ def test(
     from mbtool.cli.output_file import demand_writable
     from mbtool.cli.output_path import demand_new
     from mbtool.cli.talk import interruptible, say
-    from mbtool.core import UsageError, parse_link
+    from mbtool.core import SerialLink, UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
     from mbtool.core.numbers import parse_unit
     from mbtool.core.wording import counted
@@ -94,6 +102,8 @@ def test(
     for text, span in zip(writes or (), spans, strict=True):
         if not span.table.is_writable:
             raise UsageError(f"--writes {text}: can only be read")
+    if broadcast and not (spans and isinstance(spec, SerialLink)):
+        raise UsageError("--broadcast needs a serial line, and --writes")
     if report is not None and report.suffix != ".xml":
         raise UsageError(f"--report {report}: let its name end in .xml")
     demand_new(None if report is None else str(report), overwrite=overwrite)
@@ -104,7 +114,7 @@ def test(
     with interruptible() as interrupt, open_wire(spec, round(timeout * 1e9), heard_ns) as wire:
         say(f"testing unit {number} at {spec} against {known.name}; Ctrl-C ends")
         for turn in range(repeat):
-            work = Conformance(known, spec, wire, number, seed + turn)
+            work = Conformance(known, spec, wire, number, seed + turn, broadcasts=broadcast)
             for _ in work.run(spans, lambda: interrupt.asked):
                 pass
             whole.cases += work.report.cases

@@ -62,9 +62,7 @@ def find_live(
                 except UsageError as error:
                     say(f"mbtool: {error}")
                     continue
-                with live.lock:
-                    found = live.places()
-                    print_places(live.finder, live.wanted, found, top)
+                print_places(live.finder, live.wanted, live.places(), top)
                 sys.stdout.flush()
         finally:
             live.stop()

@@ -67,16 +67,19 @@ def allowed_networks(
     links: Sequence[LinkSpec],
     networks: Sequence[str] | None,
     connections: ConnectionOptions | None = None,
+    *,
+    serves: bool = False,
 ) -> AllowedPeers:
-    """Return the networks whose masters a tap accepts, and the limits of their connections.
+    """Return the networks whose machines a tap or the server of metrics accepts, and their limits.
 
-    `networks` are the texts of --allow; None and () admit only masters on this machine. Raises
-    UsageError for a text that is no network, and if networks or limits are given without a tap.
+    `networks` are the texts of --allow; None and () admit only this machine. `serves` says that
+    there is a server of metrics. Raises UsageError for a text that is no network, and if networks
+    are given without a tap or server, or limits without a tap.
     """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
-    if networks and not any(isinstance(one, TapLink) for one in links):
+    if networks and not serves and not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")
     limits = ConnectionLimits() if connections is None else connections.read()
     if limits != ConnectionLimits() and not any(isinstance(one, TapLink) for one in links):

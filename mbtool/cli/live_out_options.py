@@ -10,14 +10,15 @@ import typer
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.live_out import LiveOut
 
 
 @dataclass(frozen=True, slots=True)
 class LiveOutOptions(OptionGroup):
-    """The options --mqtt, --metrics, --on and --keep-around."""
+    """The options --mqtt, --metrics and --on."""
 
     heading: ClassVar[str] = "Live out"
 
@@ -47,18 +48,16 @@ class LiveOutOptions(OptionGroup):
             "'UNIT-MISSING=...'. Repeatable.",
         ),
     ] = None
-    keep_around: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--keep-around",
-            metavar="CODE",
-            help="With --keep: keep for good the files around each case of a trouble whose code "
-            "begins so, as NAME-0012-kept.mcap: the one before, its own, the next. Repeatable.",
-        ),
-    ] = None
 
-    def open(self, on_remark: Callable[[str], None]) -> LiveOut:
+    def open(
+        self,
+        on_remark: Callable[[str], None],
+        allowed: AllowedPeers,
+        kept_codes: Sequence[str] = (),
+    ) -> LiveOut:
         """Return what the options ask for, not yet entered.
+
+        `allowed` may fetch the metrics; `kept_codes` are the codes of --keep-around.
 
         Raises UsageError for an option that is wrong, or a package that is missing.
         """
@@ -76,5 +75,5 @@ class LiveOutOptions(OptionGroup):
         publisher = None
         if self.mqtt is not None:
             publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
-        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics))
-        return LiveOut(publisher, server, commands, on_remark, self.keep_around or ())
+        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics), allowed)
+        return LiveOut(publisher, server, commands, on_remark, kept_codes)

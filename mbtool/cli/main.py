@@ -18,6 +18,7 @@ import signal
 import sys
 from contextlib import suppress
 from io import TextIOWrapper
+from threading import Timer
 from typing import Annotated, Any
 
 import typer
@@ -30,7 +31,6 @@ from mbtool.cli.command_table import CommandTable
 from mbtool.cli.completion import is_asked, join_words
 from mbtool.cli.completion_setup import INSTALL, SHOW, install, show, with_shell
 from mbtool.cli.examples import examples_of, first_steps
-from mbtool.cli.leaving import leave
 from mbtool.cli.talk import Interrupted, say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 from mbtool.version import __version__
@@ -76,6 +76,8 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_AGAIN_S = 0.02
+"""Time in seconds after which an ignored Ctrl-C is repeated; the finalizer has ended by then."""
 NEW_OBJECTS = 20_000
 """The garbage collector runs when there are this many more objects that can be part of a cycle."""
 
@@ -132,22 +134,38 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     # During the command, SIGTERM and SIGHUP (the terminal is gone) interrupt like Ctrl-C, so the
     # command completes its open files. After the command no file is open, so these signals end the
-    # process at once. Ctrl-C is ignored then, since it could interrupt the interpreter's exit and
-    # replace the command's exit code. SIGHUP stays ignored under nohup.
+    # process at once, with the command's exit code. Ctrl-C is ignored then, since it could
+    # interrupt the interpreter's exit and replace that code. SIGHUP stays ignored under nohup.
     hangup = getattr(signal, "SIGHUP", signal.SIGINT)  # Windows has no SIGHUP.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    for number in (signal.SIGINT, hangup):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = _interrupt_again
     try:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        for number in (signal.SIGINT, hangup):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.default_int_handler)
         code = run(sys.argv[1:])
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # It came before the command or after it.
+        say("interrupted")
         code = exit_codes.INTERRUPTED
-    signal.signal(signal.SIGTERM, leave)
-    if signal.getsignal(hangup) is not signal.SIG_IGN:
-        signal.signal(hangup, leave)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGTERM, hangup):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: os._exit(code))
+    # If Ctrl-C has interrupted code that Python ran from a string, as dataclasses do, Python would
+    # end by SIGINT in place of the exit code. The next such code takes that back.
+    exec("")
     sys.exit(code)
+
+
+def _interrupt_again(ignored: sys.UnraisableHookArgs) -> None:
+    """Repeat Ctrl-C if Python has ignored it, as it does in a finalizer or a weak reference's call.
+
+    Any other ignored exception is printed.
+    """
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        Timer(_AGAIN_S, signal.raise_signal, [signal.SIGINT]).start()
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _open_standard_descriptors() -> None:

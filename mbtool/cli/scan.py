@@ -340,14 +340,11 @@ class _Runner:
         import msgspec
 
         from mbtool.cli.output import told_as_lost
-        from mbtool.core.replacing import replacing
+        from mbtool.core.replacing import replace_content
 
         text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
         with told_as_lost(str(file)):
-            if not file.exists():
-                file.touch()
-            with replacing(file) as new:
-                new.write_bytes(text)
+            replace_content(file.resolve(), text)
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:
         """Read all areas once more, and draft a profile from the answers."""

@@ -6,13 +6,13 @@ import os
 from contextlib import ExitStack
 from functools import partial
 from math import inf
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.live_out_options import LiveOutOptions
+from mbtool.cli.log_options import LogOptions
 from mbtool.cli.modem_options import ModemOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
@@ -24,7 +24,6 @@ from mbtool.cli.options import (
     ReadOnlyOption,
     SilenceOptions,
     TableOptionGroup,
-    TopicPerPointOption,
     WaitOption,
     WhereOption,
 )
@@ -38,12 +37,7 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialLink
     from mbtool.devices import Assignments
-    from mbtool.logs.rotation import RotatingLog
-    from mbtool.logs.writer import LogWriter
     from mbtool.workflows.live_out import LiveOut
-    from mbtool.workflows.shared.checked_log import FindingsLog
-    from mbtool.workflows.shared.heartbeat import StatusLog
-    from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
     from mbtool.workflows.stats import LiveStatistics
 
@@ -60,15 +54,8 @@ def sniff(
         ),
     ],
     *,
-    write: Annotated[
-        str | None,
-        typer.Option("--write", "-w", metavar="FILE.mcap", help="Log all that is heard."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
-    ] = False,
+    log: LogOptions,
     device: DeviceOption = None,
-    topic_per_point: TopicPerPointOption = False,
     where: WhereOption = None,
     duration: Annotated[
         float | None,
@@ -78,30 +65,6 @@ def sniff(
         int | None,
         typer.Option("--count", metavar="N", min=1, help="Stop after so many transactions."),
     ] = None,
-    rotate: Annotated[
-        str | None,
-        typer.Option(
-            "--rotate",
-            metavar="100MB|1h",
-            help="Write FILE-0001.mcap, and go on in the next file at this size or age.",
-        ),
-    ] = None,
-    keep: Annotated[
-        int | None,
-        typer.Option(
-            "--keep",
-            metavar="N",
-            min=2,
-            help="With --rotate: keep the last N files, and fewer where the disk is full.",
-        ),
-    ] = None,
-    evidence_only: Annotated[
-        bool,
-        typer.Option(
-            "--evidence-only",
-            help="Log the bytes and not what they mean; reading the log decodes them.",
-        ),
-    ] = False,
     reconnect: Annotated[
         bool,
         typer.Option(
@@ -110,14 +73,6 @@ def sniff(
         ),
     ] = True,
     wait: WaitOption = None,
-    service: Annotated[
-        bool,
-        typer.Option(
-            "--service",
-            help="Run unattended: print no rows, tell systemd how it goes, write heartbeats into "
-            "the log for mbtool status, and go on behind the parts of an earlier run.",
-        ),
-    ] = False,
     ports: PortOptions,
     silences: SilenceOptions,
     modem: ModemOptions,
@@ -147,78 +102,29 @@ def sniff(
     from mbtool.cli.output import open_output, say_troubles
     from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import Interrupted, interruptible, never_suspended, never_waiting, say
-    from mbtool.core import UsageError, parse_link
+    from mbtool.core import parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.logs import Rotation
-    from mbtool.logs.opening import check_log_path, create_log, with_point_topics
-    from mbtool.logs.rotation import parts_of
-    from mbtool.workflows.shared.checked_log import begin_checked
-    from mbtool.workflows.shared.evidence_only import begin_evidence_only
     from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.stats import LiveStatistics
 
-    if rotate is not None and write is None:
-        raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
-    if topic_per_point and write is None:
-        raise UsageError("--topic-per-point is about a log: name one with -w FILE.mcap")
-    if service and rotate is None:
-        raise UsageError("--service needs a log in parts: name it with -w FILE.mcap --rotate 1h")
-    if keep is not None and rotate is None:
-        raise UsageError("--keep needs a log of several files: name its limit with --rotate 1h")
-    if live_out.keep_around and keep is None:
-        raise UsageError(
-            "--keep-around is about files that are removed: name how many are kept "
-            "with --rotate 10m --keep 3"
-        )
-    if evidence_only and write is None:
-        raise UsageError("--evidence-only needs a log to leave things out of: -w FILE.mcap")
-    if evidence_only and topic_per_point:
-        raise UsageError("--evidence-only logs no points, so --topic-per-point has nothing to do")
+    log.check()
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
-    told = live_out.open(lambda text: say(f"mbtool: {text}"))
-    allowed = allowed_networks(specs, allow, connections)
+    allowed = allowed_networks(specs, allow, connections, serves=live_out.metrics is not None)
+    codes = log.keep_around or ()
+    told = live_out.open(lambda text: say(f"mbtool: {text}"), allowed, codes)
     devices, wanted = assignments(device), condition(where)
     tcp_ports = heard_ports(specs, ports)
     specs = read_only_taps(specs, tcp_ports) if read_only else specs
     timing = LineTiming(devices, *silences.read())
-    rotation = None if rotate is None else Rotation.parse(rotate)
     # Finding the settings of a line may take minutes, so errors are checked before that.
     serial_lines(specs)
-    if write is not None:
-        check_log_path(write, overwrite=overwrite)
+    log.check_path()
     specs = modem.on(timing.given(found_settings(specs, wait)))
-    begin: Callable[[], Log] | None = None
-    run = ServiceRun(os.environ) if service else None
-    if write is not None:
-        created: Callable[[], LogWriter | RotatingLog] = partial(
-            create_log,
-            write,
-            specs,
-            devices,
-            rotation=rotation,
-            overwrite=overwrite,
-            continues=service,
-            evidence_only=evidence_only,
-            keep=keep,
-            on_full=lambda text: say(f"mbtool: {text}"),
-            **tcp_ports._asdict(),
-        )
-        if live_out.keep_around:
-            created = partial(told.keep_files_of, created)
-        if topic_per_point:
-            created = partial(with_point_topics, created)
-        kept: Callable[[], StatusLog] = created
-        if evidence_only:
-            kept = partial(begin_evidence_only, created, specs)
-        create: Callable[[], FindingsLog] = (
-            kept if run is None else partial(run.with_heartbeats, kept)
-        )
-        begin = create
-        if not evidence_only:
-            begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
+    run = ServiceRun(os.environ) if log.service else None
+    begin = log.creation(specs, timing, tcp_ports, told, run)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)
     with (
         interruptible() as interrupt,
@@ -228,7 +134,7 @@ def sniff(
     ):
         is_hurried = partial(getattr, interrupt, "asked")
         live = partial(
-            LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
+            LiveOutput, is_kept=begin is not None, is_hurried=is_hurried, is_silent=log.service
         )
         opened.enter_context(told)
         opened.enter_context(sniffer)
@@ -242,7 +148,7 @@ def sniff(
                 devices.profile_for,
                 wanted,
                 count,
-                is_kept=write is not None,
+                is_kept=begin is not None,
                 table=table.read(),
                 make_output=live,
             ) as out,
@@ -262,11 +168,10 @@ def sniff(
             judged.close()
             if run is not None:
                 run.end()
-        if not service:
+        if not log.service:
             say_troubles(judged.judgement())
-        if write is not None:
-            first = next(iter(parts_of(Path(write))), write)
-            say(f"log: {write if rotation is None else f'{first} and those behind it'}")
+        if begin is not None:
+            say(f"log: {log.place()}")
     if interrupt.asked:
         raise Interrupted
 

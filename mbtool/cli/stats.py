@@ -196,27 +196,11 @@ def _print_advice(
     """Print which requests could be one."""
     import json
 
-    from mbtool.ledger.advice import advise
-    from mbtool.views.advice_lines import Advised, advice_document, advice_lines
+    from mbtool.ledger.advice import advice_of
+    from mbtool.views.advice_lines import advice_document, advice_lines
     from mbtool.views.tables import printable
 
-    found: list[Advised] = []
-    for link in judgement.links:
-        format_ = account.links[link.name].format
-        character_ns = None if format_ is None else float(format_.character_ns)
-        polls = [one.poll for one in link.polls]
-        devices = {one.key.unit: one.device for one in polls if one.device is not None}
-
-        def limit_of(unit: int, function: int, devices: dict[int, str] = devices) -> int | None:
-            profile = profile_named(devices.get(unit, ""))
-            rule = None if profile is None else profile.rule(function)
-            return None if rule is None else rule.limit
-
-        for master in link.masters:
-            for each in master.lists.lists:
-                advice = advise(each, polls, character_ns if link.is_serial else None, limit_of)
-                if advice is not None:
-                    found.append((link.name, master.master, advice))
+    found = advice_of(judgement.links, lambda name: account.links[name].format, profile_named)
     if as_json:
         typer.echo(json.dumps(advice_document(found), indent=2))
     elif found:

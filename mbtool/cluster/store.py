@@ -13,6 +13,7 @@ import os
 import re
 import stat
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -21,10 +22,10 @@ from pyarrow import fs
 from mbtool.cluster.plan import InputFile
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_of
+from mbtool.core.replacing import make_folder, move_into_place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)
@@ -108,7 +109,7 @@ class OutputStore:
         if not self._is_local:
             return
         try:
-            os.makedirs(f"{self._root}/{folder}", exist_ok=True)
+            make_folder(Path(self._root) / folder)
         except (OSError, ValueError) as error:
             text = f"{self.address}: this folder cannot be made: {_reason(error)}"
             raise UsageError(text) from error
@@ -142,10 +143,10 @@ class OutputStore:
         begun = f"{folder}/.{base}.{os.getpid()}.part" if self._is_local else path
         with self._guarded():
             if self._is_local:
-                self._fs.create_dir(folder)
+                make_folder(Path(folder))
             self._write(begun, data)
             if begun != path:
-                os.replace(begun, path)
+                move_into_place(Path(begun), Path(path))
 
     def delete(self, name: str) -> None:
         """Delete a file; do nothing if it does not exist."""

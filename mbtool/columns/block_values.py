@@ -27,6 +27,9 @@ class BlockValues:
     def last(self) -> list[int]:
         return self._usual.values_of(self._places[-1:])
 
+    def words(self) -> bytes:
+        return self._usual.response_values(self._places).numbers.tobytes()
+
     def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
         values = self._usual.value_of(self._places, place)
         has_changed = np.ones(len(values), np.bool_)

@@ -144,6 +144,12 @@ class _QuietBlock:
         _, kind = np.unique(asked, return_inverse=True)
         _, poll = np.unique(kind << 32 | self._unit, return_inverse=True)
         self._poll = narrow(poll)
+        self._master_poll = self._poll
+        """By row, the number of its poll, where equal requests of two masters are two polls."""
+        if self._link_host.max(initial=0) > link.max(initial=0):
+            of_masters = self._link_host[self._connection] << 8 | rows.unit
+            _, poll = np.unique(kind << 32 | of_masters, return_inverse=True)
+            self._master_poll = narrow(poll)
         self._known = known
         self._row_items = self._rows_before = self._events_before = np.zeros(0, np.int64)
         """The item of each row; for each item, the number of rows (events) before it."""
@@ -332,13 +338,14 @@ class _QuietBlock:
     def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], Int64s]:
         """Return the polls of rows, sorted by their last rows; and the index of each row's poll."""
         rows, usual = self._rows, self._usual
-        groups = Groups(self._poll[begin:end])
+        groups = Groups(self._master_poll[begin:end])
         by_last = np.argsort(groups.last)
         first = (groups.first + begin)[by_last]
         times = rows.request_ns[begin:end][groups.order].tolist()
         bounds = zip(groups.starts[by_last].tolist(), groups.ends[by_last].tolist(), strict=True)
         fields = zip(
             [self._ends[one][0] for one in self._connection[first].tolist()],
+            [self._hosts[one] for one in self._connection[first].tolist()],
             rows.unit[first].tolist(),
             rows.code[first].tolist(),
             usual.address[first].tolist(),

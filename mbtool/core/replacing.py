@@ -1,11 +1,14 @@
-"""Replaces a file in one step, so that a run that fails leaves the old file unchanged."""
+"""Replaces a file in one step: a crash or a power cut leaves the old file or the new one."""
 
-# The new content is written to a second file in the same folder, .NAME.PID.part, which is renamed
-# to the old file's name when it is complete. If the process is killed, the second file stays under
-# its own name, until a process with the same id (in a container always 1) replaces the same file.
+# The new content is written to a second file in the same folder, which is synced to the disk and
+# renamed to the old file's name. Then the folder is synced, so when the replacement returns, the
+# new file survives a power cut. If the process is killed before, the second file stays under its
+# own name: .NAME.PID.part, until a process with the same id (in a container always 1) replaces the
+# same file, or .NAME.new for a file that one program writes again and again.
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from contextlib import contextmanager, suppress
@@ -16,6 +19,64 @@ from mbtool.core.errors import OutputError, UsageError, reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+def move_into_place(new: Path, target: Path) -> None:
+    """Rename the file `new` to `target` in its folder, and return when both are on the disk.
+
+    Raises OSError if that is not possible; `target` is unchanged then, except if the disk cannot
+    sync the folder.
+    """
+    with new.open("rb+", buffering=0) as file:
+        os.fsync(file.fileno())
+    os.replace(new, target)
+    sync_folder(target.parent)
+
+
+def replace_content(target: Path, content: bytes) -> None:
+    """Create a file, or replace its content in one step.
+
+    Raises OSError if that is not possible; an old file is unchanged then.
+    """
+    beside = target.with_name(f".{target.name}.new")
+    try:
+        beside.write_bytes(content)
+        move_into_place(beside, target)
+    except OSError:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder, with those above it, if it is missing; they are on the disk then.
+
+    Raises OSError if that is not possible.
+    """
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in missing:
+        sync_folder(one.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync a folder to the disk, so that new and renamed files in it survive a power cut.
+
+    A folder that this user may not read is left to the kernel. Raises OSError if the disk refuses.
+    """
+    if os.name != "posix":
+        return
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # So says a file system that cannot sync folders.
+            raise
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager
@@ -36,7 +97,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield beside
         try:
             _copy_rights(target, beside)
-            os.replace(beside, target)
+            move_into_place(beside, target)
         except OSError as error:
             raise OutputError(str(error)) from error
     except OutputError as error:

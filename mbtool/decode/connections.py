@@ -150,6 +150,15 @@ class Bus:
         return decoded
 
 
+def stream_splitter(
+    direction: Direction, *, rtu: bool, is_udp: bool = False
+) -> MbapSplitter | RtuStreamSplitter:
+    """Make the splitter of one direction of a connection, or of its datagrams."""
+    if rtu:
+        return RtuStreamSplitter(direction, is_udp=is_udp)
+    return MbapSplitter(direction, by_segments=True, is_udp=is_udp)
+
+
 class ConnectionDecoder:
     """Decodes a TCP connection between a master and a slave, or their datagrams."""
 
@@ -167,10 +176,8 @@ class ConnectionDecoder:
             Direction.RESPONSE: (slave, master),
         }
         """By direction, the endpoints (host and port) of the sender and the receiver."""
-        self._splitters: dict[Direction, MbapSplitter | RtuStreamSplitter] = {
-            each: RtuStreamSplitter(each, is_udp=connection.is_udp)
-            if rtu
-            else MbapSplitter(each, by_segments=True, is_udp=connection.is_udp)
+        self._splitters = {
+            each: stream_splitter(each, rtu=rtu, is_udp=connection.is_udp)
             for each in self._endpoints
         }
         self._pairing = NetworkPairing(Ends(self._link, master, slave, timed=timed), joined=joined)

@@ -46,10 +46,11 @@ def give_up_late(
             reading.gave_up_ns = now_ns
 
 
-def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
+def give_up_repeated(readings: Sequence[PairReading], habits: MasterHabits, request: Adu) -> None:
     """In each reading, mark the only awaited request as given up if `request` repeats it.
 
-    `request` must have the same unit and PDU and come at least MIN_LATE_NS later.
+    `request` must have the same unit and PDU and come at least MIN_LATE_NS later, with no response
+    in between: a master takes any response, also a late one, for the awaited one, and polls on.
     """
     for reading in readings:
         newest_first = (one for one in reversed(reading.waiting) if reading.awaits(one))
@@ -58,6 +59,8 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
             continue
         (one,) = awaited
         if one.adu is None or one.number in reading.behind_others:
+            continue
+        if habits.heard_ns > one.since_ns:
             continue
         if request_key(one.adu) == request_key(request):
             reading.give_up(awaited)

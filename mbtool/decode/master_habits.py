@@ -59,6 +59,9 @@ class MasterHabits:
         self.last_response_ns = 0
         """The time at which the last response was complete, in UTC ns; 0 before the first
         response."""
+        self.lost_response_ns = 0
+        """The last time (ns) at which the capture was found to lack bytes of responses; 0 if there
+        was none. The responses came before."""
         self._slowest_ns: dict[int | None, int] = {}
         """By function code, the longest latency in ns; each response lowers it by 1/FORGET."""
         self._usual_ns: dict[int | None, int] = {}
@@ -110,6 +113,13 @@ class MasterHabits:
         if function in self._slowest_ns:
             return self._slowest_ns[function]
         return max(self._slowest_ns.values(), default=None)
+
+    @property
+    def heard_ns(self) -> int:
+        """The latest time (ns) at which the master can have got its last response, also one that
+        the capture lacks.
+        """
+        return max(self.last_response_ns, self.lost_response_ns)
 
     @property
     def has_answered(self) -> bool:

@@ -223,6 +223,7 @@ class NetworkPairing:
                 self._doubt_order([])
         else:
             self._lose_responses(lost, at_ns)
+            self._habits.lost_response_ns = at_ns
         self._settle(done)
         return done
 
@@ -276,7 +277,7 @@ class NetworkPairing:
         is_pipelined = others_wait = False
         if len(self._readings) > 1 or self._readings[0].waiting:
             give_up_late(self._readings, self._habits, request.start_ns, self._habits.late_ns)
-            give_up_repeated(self._readings, request)
+            give_up_repeated(self._readings, self._habits, request)
             is_pipelined = all(reading.someone_waits for reading in self._readings)
             waiting = self._readings[0].waiting
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)

@@ -294,7 +294,8 @@ class Pairing:
         # Without silences that tell a retry, it may be a repeater's copy of the response before, or
         # the response to a retry.
         is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
-        is_doubted = response.raw == self._last_answer and not is_heard
+        # Where only slaves are heard, it is the response to the next request.
+        is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
 
@@ -445,13 +446,19 @@ class Pairing:
 
 
 def _doubted(pending: Adu, request: Adu) -> Adu:
-    """Return the pending request, marked as ambiguous if `request` equals it and may answer it.
+    """Return the pending request, with the confidence of `request` if that may answer it.
 
-    `request` was taken for a request, but ambiguously. The outcome of the pending request is no
-    more certain than the direction of `request`.
+    `request` was taken for a request, and may be a response that repeats the pending one or, of a
+    write, its address. So the outcome of the pending request is no more certain.
     """
-    if pending.raw != request.raw or Verdict.AMBIGUOUS not in request.verdicts:
+    if request.confidence >= pending.confidence or not _may_echo(pending, request):
         return pending
-    verdicts = tuple(dict.fromkeys((*pending.verdicts, Verdict.AMBIGUOUS)))
-    confidence = min(pending.confidence, request.confidence)
+    verdicts, confidence = pending.verdicts, request.confidence
+    if Verdict.AMBIGUOUS in request.verdicts:
+        verdicts = tuple(dict.fromkeys((*verdicts, Verdict.AMBIGUOUS)))
     return replace(pending, confidence=confidence, verdicts=verdicts)
+
+
+def _may_echo(pending: Adu, request: Adu) -> bool:
+    """True if a frame equals the pending request, or has its unit, function and address."""
+    return request.unit == pending.unit and request.pdu[:3] == pending.pdu[:3]

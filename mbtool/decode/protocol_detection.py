@@ -28,8 +28,9 @@
 #   - if the first captured bytes of both directions are TLS records, also without the connection's
 #     beginning. This is not tested if RTU is possible: a request to unit 17H for register 0100H
 #     looks like a TLS record;
-#   - after MAX_UNDECIDED_BYTES without a decision. A candidate for unexpected RTU is dropped after
-#     MAX_NOISE bytes of a direction without a frame, as looking for one at every byte is slow.
+#   - after MAX_UNDECIDED_BYTES without a decision. Where it is not expected, RTU is dropped after
+#     MAX_NOISE bytes of a direction without a frame, as looking for one at every byte is slow, and
+#     Modbus/TCP after MAX_MBAP_NOISE without an ADU.
 # It is reported by one FOREIGN event, which names the protocol if its first bytes are recognised.
 # Later bytes are not examined.
 #
@@ -45,30 +46,37 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from enum import Enum, auto
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
-from mbtool.decode.connections import ConnectionDecoder, Decoded
+from mbtool.decode.connections import ConnectionDecoder, Decoded, stream_splitter
 from mbtool.decode.foreign_protocols import TLS, begins_tls_record, foreign_protocol
 from mbtool.decode.stream_progress import OTHER
 from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH
 from mbtool.framing.rtu_lengths import begins_with_frame
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
+from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from mbtool.core import Connection, Endpoint, StreamPlace
+    from mbtool.framing.mbap import MbapSplitter
+    from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
+
+    _Splitters = dict[Direction, MbapSplitter | RtuStreamSplitter]
 
 ENOUGH_ADUS = 3
 MAX_MALFORMED = 3
 MAX_UNDECIDED_BYTES = 2048
 GAP_BYTES = 64
 MAX_NOISE = MAX_RTU_ADU
+MAX_MBAP_NOISE = 520
+"""Bytes of a direction without an ADU after which unexpected Modbus/TCP is ruled out: the rests of
+two ADUs whose beginnings the capture lacks."""
 MAX_HELD_EVENTS = 8
 MAX_SLAVES = 65536
 """So many slaves are remembered; of further ones the first is forgotten."""
@@ -212,8 +220,7 @@ class ProtocolDetector:
         self._beginnings[direction] = None
         self._seen += GAP_BYTES
         for candidate in self._candidates:
-            role = candidate.roles[direction]
-            candidate.add(candidate.decoder.gap(role, missing, ts_ns, kind, acknowledged_ns))
+            candidate.gap_undecided(direction, missing, ts_ns, kind, acknowledged_ns)
         is_tls = not self._may_be_rtu and foreign_protocol(self._first_bytes) == TLS
         expected = self._expected
         if expected is not None and not is_tls and expected.may_begin_with(self._heads):
@@ -225,7 +232,7 @@ class ProtocolDetector:
         if self.state is ProtocolState.MODBUS:
             return self._candidates[0].decoder.advance(now_ns)
         for candidate in self._candidates:
-            candidate.add(candidate.decoder.advance(now_ns))
+            candidate.advance_undecided(now_ns)
         return []
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
@@ -238,7 +245,7 @@ class ProtocolDetector:
         if self.state is ProtocolState.FOREIGN or not self._seen:
             return []
         for candidate in self._candidates:
-            candidate.add(candidate.decoder.close(end_ns))
+            candidate.close_undecided(end_ns)
         decoded = self._decide(is_last=True)
         if decoded or self.state is not ProtocolState.UNDECIDED:
             return decoded
@@ -369,7 +376,18 @@ class _ProtocolCandidate:
     ) -> None:
         if swapped:
             connection = replace(connection, master=connection.slave, slave=connection.master)
-        self.decoder = ConnectionDecoder(connection, rtu=rtu, joined=joined, timed=timed)
+        self._make_decoder = partial(
+            ConnectionDecoder, connection, rtu=rtu, joined=joined, timed=timed
+        )
+        self._splitters: _Splitters | None = None
+        """Splitters of both directions that look for the first ADU; None once it was found, and if
+        the protocol is expected. What came before it is decoded only then: to pair what another
+        protocol's connection lacks would take long."""
+        if not (expected or connection.is_udp):
+            self._splitters = {each: stream_splitter(each, rtu=rtu) for each in OTHER}
+        self._postponed: list[Callable[[], list[Decoded]]] = []
+        """Calls of the decoder with what came before the first ADU; they hold no more than
+        MAX_UNDECIDED_BYTES."""
         self.decoded: list[Decoded] = []
         """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False
@@ -390,34 +408,87 @@ class _ProtocolCandidate:
         """The number of ADUs in a row that had the structure of their function."""
         self._wrong_beginnings: set[Direction] = set()
         """The directions whose first bytes cannot begin an ADU of this candidate's protocol."""
-        needs_frame = rtu and not expected
-        self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
-        """By direction, the number of bytes without an RTU frame; no entry once one was found."""
+        self._noise = {} if expected else {Direction.REQUEST: 0, Direction.RESPONSE: 0}
+        """By direction, the number of bytes without an ADU; no entry once one was found."""
 
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
         """The decoder if it reads Modbus/TCP and master and slave are not exchanged; else None."""
         return None if self.is_rtu or self.is_swapped else self.decoder
 
+    @cached_property
+    def decoder(self) -> ConnectionDecoder:
+        return self._make_decoder()
+
     def feed_undecided(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
     ) -> None:
-        """Decode bytes and keep the results; rule out RTU after MAX_NOISE bytes without a frame."""
+        """Decode bytes and keep the results; rule out what had too many without an ADU."""
         noise = self._noise.get(direction)
-        room = len(data) if noise is None else MAX_NOISE - noise
+        # The splitter of Modbus/TCP needs whole segments.
+        room = MAX_NOISE - noise if self.is_rtu and noise is not None else len(data)
         role = self.roles[direction]
-        decoded = self.decoder.feed(role, data[:room], ts_ns, place)
-        self.add(decoded)
+        decoded = self._take(
+            lambda: self.decoder.feed(role, data[:room], ts_ns, place),
+            lambda splitters: splitters[role].feed(data[:room], ts_ns),
+        )
         if noise is None:
             return
         if any(isinstance(one, Adu) for one in decoded):
             del self._noise[direction]
-            after = place and place.after(room)
-            self.add(self.decoder.feed(role, data[room:], ts_ns, after))
+            if rest := data[room:]:
+                after = place and place.after(room)
+                self.add(self.decoder.feed(role, rest, ts_ns, after))
             return
         self._noise[direction] += len(data[:room])
-        if self._noise[direction] >= MAX_NOISE:
+        if self._noise[direction] >= (MAX_NOISE if self.is_rtu else MAX_MBAP_NOISE):
             self.is_ruled_out = not self.is_confirmed
+
+    def gap_undecided(
+        self,
+        direction: Direction,
+        missing: int,
+        ts_ns: int,
+        kind: EventKind,
+        acknowledged_ns: int | None,
+    ) -> None:
+        """Note that the capture lacks `missing` bytes (0: number unknown) of one direction."""
+        role = self.roles[direction]
+        self._take(
+            lambda: self.decoder.gap(role, missing, ts_ns, kind, acknowledged_ns),
+            lambda splitters: splitters[role].gap(missing),
+        )
+
+    def advance_undecided(self, now_ns: int) -> None:
+        """Note that no segment came until `now_ns`."""
+        if self._splitters is None:
+            self.add(self.decoder.advance(now_ns))
+
+    def close_undecided(self, end_ns: int | None) -> None:
+        """End the connection; `end_ns` is the end of its capture, None if it closed."""
+        self._take(
+            lambda: self.decoder.close(end_ns),
+            lambda splitters: [one for each in splitters.values() for one in each.close()],
+        )
+
+    def _take(
+        self,
+        decode: Callable[[], list[Decoded]],
+        split: Callable[[_Splitters], list[Adu | Skipped]],
+    ) -> list[Decoded]:
+        """Decode what comes next, and all that came before, once it has an ADU; return the results.
+
+        `decode` gives it to the decoder, `split` to the splitters that look for the first ADU.
+        """
+        calls = [decode]
+        if self._splitters is not None:
+            self._postponed.append(decode)
+            if not any(isinstance(one, Adu) for one in split(self._splitters)):
+                return []
+            calls, self._postponed, self._splitters = self._postponed, [], None
+        decoded = [one for call in calls for one in call()]
+        self.add(decoded)
+        return decoded
 
     def check_beginning(self, head: bytes, direction: Direction) -> None:
         """Rule out the candidate if `head`, a direction's first bytes, cannot begin an ADU.

@@ -45,6 +45,10 @@ _VARIABLE = frozenset(
     if layout.length(b"") is None
 )
 """The functions whose frame length depends on more bytes than the function code."""
+_MEASURED = _VARIABLE.union(
+    *({code for code, size in enumerate(sizes) if size} for sizes in _FIXED.values())
+)
+"""The functions whose frames tell their length."""
 
 
 def doubled_size(data: bytes, directions: Iterable[Direction]) -> int:
@@ -103,6 +107,18 @@ def begins_frame(data: bytes, offset: int, directions: Iterable[Direction]) -> b
         if size and size <= most and crc(data[offset : offset + size]) == 0:
             return True
     return False
+
+
+def frame_starts(data: bytes, first: int, end: int, directions: Iterable[Direction]) -> list[bool]:
+    """For each offset from `first` up to `end`, return True if a frame begins there.
+
+    `begins_frame` defines what a frame is.
+    """
+    last = len(data) - MIN_FRAME
+    return [
+        offset <= last and data[offset + 1] in _MEASURED and begins_frame(data, offset, directions)
+        for offset in range(first, end)
+    ]
 
 
 def is_frame_between(data: bytes, cuts: Sequence[int]) -> bool:

@@ -424,7 +424,7 @@ class Account:
         use = self._use(one, key.master)
         if len(self.polls) >= MAX_POLLS:
             _, given_up = self.polls.popitem(last=False)
-            given_up.use.tally.merge(given_up.tally)
+            given_up.give_up()
         poll = self.polls[key] = PollStatistics(self.polls_seen, key, one, use)
         self.polls_seen += 1
         return poll

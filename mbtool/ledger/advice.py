@@ -11,23 +11,31 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from statistics import median
+from statistics import linear_regression, mean, median
 from typing import TYPE_CHECKING
 
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from mbtool.core import SerialFormat
+    from mbtool.devices import Profile
     from mbtool.ledger.poll_cycle import PollList, PollStep
     from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.statistics_report import LinkReport
 
 _REFUSALS = (2, 3, 4)
 _WAITS = 3.0
 """A master waits between cycles if that pause is longer than so many of the others, and more than
 _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
+_BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
+_MOST_BAUDS = 2
+_SURE = 2.5
+"""A time for each register is taken as measured from so many standard errors on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +64,113 @@ class CycleAdvice:
     """The time from the first request of a cycle to the last response."""
     busy_then_ns: int
     cycle_ns: int
+    wait_ns: int
+    """The time from the last response of a cycle to the first request of the next."""
     waits: bool
     """True if the master waits between cycles, so that the cycle may stay as long as it is."""
 
     @property
     def cycle_then_ns(self) -> int:
-        """The duration of a cycle if the master goes on as soon as it does today."""
-        return self.cycle_ns - self.busy_ns + self.busy_then_ns
+        """The duration of a cycle if the master goes on as soon as it does today.
+
+        A mean cycle takes longer than its median steps, as some requests are held up; fewer
+        requests are held up less often.
+        """
+        held_up_ns = self.cycle_ns - self.busy_ns - self.wait_ns
+        held_up_then_ns = held_up_ns * self.requests_then // self.requests
+        return self.busy_then_ns + self.wait_ns + held_up_then_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The time that the requests of a list on a serial line take, and would take, in ns."""
+
+    baud: int
+    units: int
+    cycle_ns: int
+    busy_ns: int
+    with_unit_ns: int
+    """How much longer it takes with one unit more that is asked as those of the list are."""
+    at_bauds: tuple[tuple[int, int], ...]
+    """Faster baud rates, each with how much shorter it takes: only characters become shorter."""
+    waits: bool
+
+
+Advised = tuple[str, str, CycleAdvice | Forecast]
+"""The link, the master (empty on a serial line) and the advice."""
+
+
+def advice_of(
+    links: Iterable[LinkReport],
+    format_of: Callable[[str], SerialFormat | None],
+    profile_named: Callable[[str], Profile | None],
+) -> list[Advised]:
+    """Return the advice on all polled lists of links.
+
+    `format_of` returns the settings of a serial line; `profile_named` the profile of this name,
+    None if it is not in use.
+    """
+    found: list[Advised] = []
+    for link in links:
+        format_ = format_of(link.name) if link.is_serial else None
+        character_ns = None if format_ is None else float(format_.character_ns)
+        polls = [one.poll for one in link.polls]
+        devices = {one.key.unit: one.device for one in polls if one.device is not None}
+
+        def limit_of(unit: int, function: int, devices: dict[int, str] = devices) -> int | None:
+            profile = profile_named(devices.get(unit, ""))
+            rule = None if profile is None else profile.rule(function)
+            return None if rule is None else rule.limit
+
+        for master in link.masters:
+            for each in master.lists.lists:
+                advice = advise(each, polls, character_ns, limit_of)
+                if advice is not None:
+                    found.append((link.name, master.master, advice))
+                if format_ is not None:
+                    characters = {
+                        id(poll.poll): poll.line_time.characters_ns / poll.poll.tally.requests
+                        for poll in link.polls
+                        if poll.line_time is not None and poll.poll.tally.requests
+                    }
+                    more = forecast(each, format_.baud, characters)
+                    found.append((link.name, master.master, more))
+    return found
+
+
+def forecast(one: PollList[PollStatistics], baud: int, characters: Mapping[int, float]) -> Forecast:
+    """Return what a list would take with one unit more, and at other baud rates.
+
+    `characters` has the time (ns) that the characters of a request and its response take on the
+    line, by the id of the poll.
+    """
+    pause_ns, busy_ns = _pause_and_busy(one)
+    units = len({step.poll.key.unit for step in one.steps})
+    own_ns = sum(characters.get(id(step.poll), 0.0) for step in one.steps)
+    return Forecast(
+        baud=baud,
+        units=units,
+        cycle_ns=one.period_ns,
+        busy_ns=busy_ns,
+        with_unit_ns=(busy_ns + pause_ns) // units,
+        at_bauds=tuple(
+            (faster, round(own_ns * (1 - baud / faster))) for faster in _BAUDS if faster > baud
+        )[:_MOST_BAUDS],
+        waits=_is_waiting(one, pause_ns),
+    )
+
+
+def _pause_and_busy(one: PollList[PollStatistics]) -> tuple[int, int]:
+    """Return the median pause between the requests of a list, and the time from the first request
+    to the last response (ns).
+    """
+    pauses = [step.pause_ns for step in one.steps[1:]]
+    pause_ns = int(median(pauses)) if pauses else 0
+    return pause_ns, sum(step.took_ns for step in one.steps) + sum(pauses)
+
+
+def _is_waiting(one: PollList[PollStatistics], pause_ns: int) -> bool:
+    return one.steps[0].pause_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS)
 
 
 def advise(
@@ -109,10 +217,7 @@ def advise(
                 )
     if not merged:
         return None
-    pauses = [step.pause_ns for step in one.steps[1:]]
-    pause_ns = int(median(pauses)) if pauses else 0
-    busy_ns = sum(step.took_ns for step in one.steps) + sum(pauses)
-    wait_ns = one.steps[0].pause_ns
+    pause_ns, busy_ns = _pause_and_busy(one)
     return CycleAdvice(
         merged=tuple(sorted(merged, key=lambda each: (each.unit, each.function, each.address))),
         requests=len(one.steps),
@@ -120,7 +225,8 @@ def advise(
         busy_ns=busy_ns,
         busy_then_ns=max(busy_ns - saved_ns - saved * pause_ns, 0),
         cycle_ns=one.period_ns,
-        waits=wait_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS),
+        wait_ns=one.steps[0].pause_ns,
+        waits=_is_waiting(one, pause_ns),
     )
 
 
@@ -191,17 +297,22 @@ def _predicted(
     bytes_of_one = 1 / 8 if is_bits else 2
     least = 0.0 if character_ns is None else character_ns * bytes_of_one
     points = [(_quantity(step.poll), step.took_ns) for step in steps]
-    each = max(_slope(points), least)
+    each = _time_of_one(points, least)
     fixed = median(took - each * count for count, took in points)
     return round(fixed + each * quantity)
 
 
-def _slope(points: Sequence[tuple[int, int]]) -> float:
-    """The median slope of all pairs of points (Theil and Sen); 0 if there is none."""
-    slopes = [
-        (took - other_took) / (count - other)
-        for at, (count, took) in enumerate(points)
-        for other, other_took in points[:at]
-        if count != other
-    ]
-    return median(slopes) if slopes else 0.0
+def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
+    """The time (ns) that one register or bit more takes, by least squares; at least `least`.
+
+    `least` is returned as well if what is more may be chance: less than SURE standard errors.
+    """
+    counts = [count for count, _ in points]
+    if len(points) < 3 or len(set(counts)) < 2:
+        return least
+    slope, offset = linear_regression(counts, [took for _, took in points])
+    rest = sum((took - offset - slope * count) ** 2 for count, took in points)
+    middle = mean(counts)
+    width = sum((count - middle) ** 2 for count in counts)
+    error = math.sqrt(rest / (len(points) - 2) / width)
+    return slope if slope - least > _SURE * error else least

@@ -45,6 +45,12 @@ class ReadValues(Protocol):
         """Return the last values, one for each register or bit."""
         ...
 
+    def words(self) -> bytes:
+        """Return all values, those of the first read or write first, with two bytes each in the
+        machine's order.
+        """
+        ...
+
     def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
         """The changes of the value at index `place` of each read or write.
 

@@ -27,6 +27,8 @@ _ENOUGH_PERIODS = 5
 _STEADY = 8
 """If a poll without a usual period comes this many times at equal distances and gets no response,
 its requests are polls and no retries."""
+_GIVEN_UP = RequestTally()
+"""Shared by all polls that were given up, as there may be many; it stays empty."""
 
 
 class RetryChange(NamedTuple):
@@ -111,6 +113,13 @@ class PollStatistics:
         self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
+
+    def give_up(self) -> None:
+        """Add the counts to those of the function, and forget them: the tape of the master holds
+        the poll longer, but needs only its key and its periods.
+        """
+        self.use.tally.merge(self.tally)
+        self.tally = _GIVEN_UP
 
     def begin(self, at_ns: int) -> None:
         """Note a request of the poll that is no retry. `at_ns` (UTC ns) is its time."""

@@ -19,6 +19,7 @@ from typing import BinaryIO
 
 from mbtool.core import OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
+from mbtool.core.replacing import sync_folder
 
 if sys.platform != "win32":
     import fcntl
@@ -43,14 +44,13 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
     try:
         _lock(file, path)
         file.truncate(0)
+        sync_folder(target.parent)
     except OSError as error:
         file.close()
         raise _uncreated(path, error) from error
     except OutputError:
         file.close()
         raise
-    if os.name == "posix":
-        _sync_folder(target.parent)
     return file
 
 
@@ -119,17 +119,3 @@ def _exists(path: Path) -> UsageError:
 
 def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
     return UsageError(f"{path}: cannot be created: {reason_unwritten(path, error)}")
-
-
-def _sync_folder(folder: Path) -> None:
-    """Sync the folder to the disk, so that its entry for a new file survives a power cut."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return  # This user may not read the folder; the kernel syncs it later.
-    try:
-        os.fsync(descriptor)
-    except OSError:
-        return
-    finally:
-        os.close(descriptor)

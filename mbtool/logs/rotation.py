@@ -26,6 +26,7 @@ import msgspec
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
 from mbtool.core.moments import SECOND_NS
+from mbtool.core.replacing import sync_folder
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
@@ -260,6 +261,7 @@ class RotatingLog(ClosesOnExit):
             with suppress(OSError):  # Its name stays, and it is not removed.
                 if not kept.exists():
                     one.rename(kept)
+        sync_folder(path.parent)
         return True
 
     def _make_room(self) -> bool:

@@ -488,6 +488,8 @@ class SerialMaster(MasterLink):
             link.format, speaker=Direction.RESPONSE
         )
         self._arrivals = SerialArrivals(link.format.character_ns)
+        self._doubt_ns = 0
+        """How much later, in ns, the bytes of the last read may have come than it said."""
         self._pending: tuple[int, int] | None = None
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
@@ -531,14 +533,18 @@ class SerialMaster(MasterLink):
     def close(self) -> None:
         self._port.close()
 
-    def send_bytes(self, raw: bytes) -> None:
-        """Send any bytes, and wait until the last of them has left. Raises LinkError if the port is
-        lost.
+    def send_bytes(self, raw: bytes) -> int:
+        """Send any bytes, and wait until the last of them has left; return the time, in ns of the
+        monotonic clock, at which the port had taken them.
+
+        Raises LinkError if the port is lost.
         """
         with port_in_use(self.link):
             self._port.write(raw)
+            taken_ns = time.monotonic_ns()
             self._port.flush()
         self.on_bytes(raw, time.monotonic_ns(), True)
+        return taken_ns
 
     def overhear(self, wait_ns: int) -> tuple[bytes, int]:
         """Return bytes that others sent, and the time of the last one, in ns of the monotonic
@@ -569,7 +575,7 @@ class SerialMaster(MasterLink):
         most_ns = MOST_LISTEN_NS if listen_ns is None else listen_ns
         begin_ns = now_ns = time.monotonic_ns()
         while now_ns - begin_ns < most_ns and not other.is_known:
-            other.feed(*self.overhear(_LISTEN_SLICE_NS))
+            other.feed(*self.overhear(_LISTEN_SLICE_NS), self._doubt_ns)
             now_ns = time.monotonic_ns()
             if not other.has_heard and now_ns - begin_ns >= in_silence_ns:
                 break
@@ -579,6 +585,9 @@ class SerialMaster(MasterLink):
     def _await_turn(self, unit: int, pdu: bytes) -> int:
         if self._other is None:
             return super()._await_turn(unit, pdu)
+        until_ns = time.monotonic_ns() + self._longest_turn_ns
+        while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
+            self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
         most_ns = self._other.longest_pause_ns
@@ -592,19 +601,22 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        until_ns = time.monotonic_ns() + self._longest_turn_ns
-        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
+        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
             if now_ns > until_ns:
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
                     f"{duration(self._longest_turn_ns)}; the request was not sent"
                 )
-            self._other.feed(*self.overhear(self.link.format.t3_5_ns))
+            self._overhear_other()
             needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         self._turn_ends_ns = now_ns + rest_ns - needed_ns
         self._other.note_our_request()
         self._turns += 1
         return wait_ns
+
+    def _overhear_other(self) -> None:
+        assert self._other is not None
+        self._other.feed(*self.overhear(self.link.format.t3_5_ns), self._doubt_ns)
 
     def _is_turn(self) -> bool:
         if self._other is None:
@@ -646,9 +658,9 @@ class SerialMaster(MasterLink):
             return
         if isinstance(event, Adu):
             if event.unit != self._pending[1]:
-                self._other.note_intrusion(event.start_ns)
+                self._other.note_intrusion(event.start_ns, self._doubt_ns)
         elif len(event.raw) >= FEW_BYTES:
-            self._other.note_intrusion(event.ts_ns)
+            self._other.note_intrusion(event.ts_ns, self._doubt_ns)
 
     def _on_line_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with
@@ -672,9 +684,10 @@ class SerialMaster(MasterLink):
         has_bytes = is_there or self._has_bytes(wait_ns / SECOND_NS)
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
-        return data, self._arrivals.arrived_ns(
-            len(data), begin_ns, 0 if is_there else wait_ns, now_ns
-        )
+        at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
+        # A process that gets no processor also sees bytes that came after its wait was over.
+        self._doubt_ns = now_ns - at_ns
+        return data, at_ns
 
     def _has_bytes(self, wait_s: float) -> bool:
         if os.name == "posix":

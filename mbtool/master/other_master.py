@@ -12,11 +12,18 @@
 # pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
 # whose time has come and that was not heard is awaited, as it may come at any moment.
 #
+# A unit that did not answer in time may answer late, and its answer would be taken for that to a
+# request of ours. So it is asked again only when it has answered two polls in a row as it should.
+#
+# Bytes that a read finds at once may have come at any time since the read before, and those of a
+# process that had to wait for a processor at any time until it had one. What is doubtful by more
+# than MOST_DOUBT_NS tells nothing of a pause or a period: pauses would look far shorter.
+#
 # If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
 # noted, too.
 #
-# Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, and what the splitter
-# holds.
+# Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, MAX_DOUBTS spans of
+# time, and what the splitter holds.
 
 from __future__ import annotations
 
@@ -28,6 +35,7 @@ from mbtool.core import Direction, LinkError
 from mbtool.core.wording import counted, duration
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS, Adu, function_name
+from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
 if TYPE_CHECKING:
@@ -44,11 +52,16 @@ LEAST_SEEN = 3
 """So often a pause must have been heard before a request is sent in it."""
 MAX_POLLS = 256
 MAX_PAUSES = 64
+MAX_DOUBTS = 64
+MOST_DOUBT_NS = 5_000_000
+"""The time of a byte is known if it is at most so much later, in ns, than it seems."""
 MARGIN_NS = 20_000_000
 """A request must fit into a pause with this much time to spare, in ns. USB adapters deliver bytes
 up to 16 ms late."""
 RELIABLE = 0.9
 """The share of the shortest pause heard that counts as the next one's length."""
+_PROOFS = 2
+"""A late answer of a unit counts as lost once the unit has answered so many polls after it."""
 _STOPPED = 1.5
 """A poll that is not heard for so many of its longest periods is no longer awaited."""
 FEW_BYTES = 8
@@ -72,8 +85,12 @@ class HeardPoll:
     longest_latency_ns: int = 0
     pauses: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
     """The last silences heard between the end of its response and the next request."""
+    periods: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
+    """The last times between two of these requests."""
     shortest_period_ns: int = 0
-    """The shortest time between two of these requests; 0 if it was heard once."""
+    """The shortest of them; 0 if the request was heard once."""
+    usual_period_ns: int = 0
+    """Their median."""
     longest_period_ns: int = 0
     is_followed: bool = True
     """True if nothing on the line was missed since the last of these requests."""
@@ -81,9 +98,10 @@ class HeardPoll:
     def note_request(self, at_ns: int) -> None:
         """Note that the request was heard again, and ended at the time `at_ns`."""
         if self.times and self.is_followed:
-            period_ns = at_ns - self.last_ns
-            self.shortest_period_ns = min(self.shortest_period_ns or period_ns, period_ns)
-            self.longest_period_ns = max(self.longest_period_ns, period_ns)
+            self.periods.append(at_ns - self.last_ns)
+            ordered = sorted(self.periods)
+            self.shortest_period_ns, self.longest_period_ns = ordered[0], ordered[-1]
+            self.usual_period_ns = ordered[len(ordered) // 2]
         self.times += 1
         self.last_ns, self.is_followed = at_ns, True
 
@@ -96,12 +114,16 @@ class HeardPoll:
     def due_ns(self) -> int | None:
         """The earliest time at which the request should begin again; None if it has no steady
         period.
+
+        Its periods have been shorter than usual by some time, and may be by twice that. A request
+        that came late may be followed by one at its proper time.
         """
-        spread_ns = self.longest_period_ns - self.shortest_period_ns
-        if 2 * spread_ns >= self.shortest_period_ns:
+        early_ns = self.usual_period_ns - self.shortest_period_ns
+        if not self.periods or 2 * early_ns >= self.shortest_period_ns:
             return None
         begun_ns = self.last_ns - (self.request.end_ns - self.request.start_ns)
-        return begun_ns + self.shortest_period_ns - spread_ns
+        late_ns = max(self.periods[-1] - self.usual_period_ns, 0)
+        return begun_ns + self.shortest_period_ns - early_ns - late_ns
 
     def note_latency(self, latency_ns: int) -> None:
         self.longest_latency_ns = max(self.longest_latency_ns, latency_ns)
@@ -141,13 +163,21 @@ class OtherMaster:
         """The poll whose response was the last frame, and the end of that frame in ns."""
         self._used: tuple[HeardPoll, int] | None = None
         """The same of the pause in which our last request was sent."""
+        self._owed: dict[int, int] = {}
+        """For each unit that left a request of the other master without its answer: so many polls
+        of it must be answered before a late answer counts as lost."""
         self._anew_ns = 0
         """The time since which nothing on the line was missed."""
+        self._doubts: deque[tuple[int, int]] = deque(maxlen=MAX_DOUBTS)
+        """The spans of time of bytes whose times are doubtful, in ns."""
 
-    def feed(self, data: bytes, at_ns: int) -> None:
-        """Take bytes that were heard, the last of them at the time `at_ns`; or no bytes, if the
-        line was silent up to that time.
+    def feed(self, data: bytes, at_ns: int, doubt_ns: int = 0) -> None:
+        """Take bytes that were heard, the last of them at the time `at_ns` or at most `doubt_ns` ns
+        later; or no bytes, if the line was silent up to that time.
         """
+        if data and doubt_ns > MOST_DOUBT_NS:
+            begin_ns = at_ns - len(data) * self._link.format.character_ns
+            self._doubts.append((begin_ns, at_ns))
         self._last_byte_ns = at_ns if data else self._last_byte_ns
         self._take(self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns))
 
@@ -169,34 +199,61 @@ class OtherMaster:
                 self.unread_bytes += len(event.raw)
 
     def _take_frame(self, adu: Adu) -> None:
+        begins, ends = self._is_sure(adu.start_ns), self._is_sure(adu.end_ns)
         if self._answered is not None:
             poll, end_ns = self._answered
-            poll.pauses.append(adu.start_ns - end_ns)
+            if begins and self._is_sure(end_ns):
+                poll.pauses.append(adu.start_ns - end_ns)
             self._answered = None
         if adu.direction is Direction.RESPONSE:
             if self._asked is not None and self._asked.request.unit == adu.unit:
-                self._asked.note_latency(adu.start_ns - self._asked.last_ns)
+                self._note_owed(self._asked, adu)
+                if begins and self._asked.is_followed:
+                    self._asked.note_latency(adu.start_ns - self._asked.last_ns)
                 self._answered = self._asked, adu.end_ns
             self._asked = None
             return
+        if self._asked is not None:
+            self._owed[self._asked.request.unit] = _PROOFS
         known = self.polls.get(adu.raw)
         if known is None:
             known = HeardPoll(adu, 0, adu.end_ns)
             if len(self.polls) < MAX_POLLS:
                 self.polls[adu.raw] = known
+        known.is_followed = known.is_followed and ends
         known.note_request(adu.end_ns)
+        known.is_followed = ends
         self._asked = known
+
+    def _note_owed(self, asked: HeardPoll, response: Adu) -> None:
+        """Note if a unit may still send an answer to a request that it did not answer in time."""
+        expected = ExpectedResponse.of(asked.request.pdu)
+        if expected is not None and not expected.fits(response.pdu):
+            self._owed[response.unit] = _PROOFS
+        elif response.unit in self._owed:
+            self._owed[response.unit] -= 1
+            if not self._owed[response.unit]:
+                del self._owed[response.unit]
+
+    def _is_sure(self, at_ns: int) -> bool:
+        """True if the bytes around this time came when they seem to have come."""
+        return not any(begin_ns <= at_ns <= end_ns for begin_ns, end_ns in self._doubts)
 
     @property
     def is_known(self) -> bool:
         """True if each poll was heard often enough to tell its period and its pause."""
         return bool(self.polls) and all(one.times > LEAST_SEEN for one in self.polls.values())
 
-    def rest_ns(self, now_ns: int) -> int:
+    @property
+    def has_known_pauses(self) -> bool:
+        """True if the pause behind each poll was heard often enough to be relied on."""
+        return all(len(one.pauses) >= LEAST_SEEN for one in self.polls.values())
+
+    def rest_ns(self, now_ns: int, unit: int | None = None) -> int:
         """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
-        tells.
+        tells, or if a late answer of `unit` to the other master may come.
         """
-        if self._answered is None or self._last_byte_ns > self._answered[1]:
+        if unit in self._owed or self._answered is None or self._last_byte_ns > self._answered[1]:
             return 0
         poll, end_ns = self._answered
         until_ns = end_ns + poll.pause_ns
@@ -238,13 +295,14 @@ class OtherMaster:
         self._used = self._answered
         self._answered = self._asked = None
 
-    def note_intrusion(self, at_ns: int) -> None:
-        """Note that somebody else began to speak at `at_ns`, while our request was pending: the
-        pause was shorter than it seemed.
+    def note_intrusion(self, at_ns: int, doubt_ns: int = 0) -> None:
+        """Note that somebody else began to speak at `at_ns`, or at most `doubt_ns` ns later, while
+        our request was pending: the pause was shorter than it seemed.
         """
         if self._used is not None:
             poll, end_ns = self._used
-            poll.pauses.append(max(at_ns - end_ns, 0))
+            if doubt_ns <= MOST_DOUBT_NS:
+                poll.pauses.append(max(at_ns - end_ns, 0))
             self._used = None
         self.listen_anew(at_ns)
 

@@ -11,7 +11,8 @@ import select
 import socket
 import time
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from errno import ETIMEDOUT
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
@@ -44,6 +45,9 @@ _LEAST_GAP_NS = 40_000_000
 USB adapters deliver bytes in blocks up to 16 ms apart."""
 _REST_NS = 500_000_000
 """The rest of an answer on a serial line is awaited for this time (ns) after its last byte."""
+_KEEP_ALIVE = (("TCP_KEEPIDLE", 1), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 1))
+"""A probe is sent after one second of silence (s); one that is not answered for a second ends the
+connection."""
 _SHOWN = 32
 """So many bytes of a damaged answer are shown."""
 
@@ -72,6 +76,8 @@ class Heard(NamedTuple):
     """The longest silence inside the answer that was surely heard, in ns; 0 on TCP."""
     rest: bytes = b""
     """What came behind the last ADU on TCP and in ASCII."""
+    made_pause_ns: int = 0
+    """The longest that the pause between the pieces sent on a serial line can have been, in ns."""
 
 
 class Wire(ABC):
@@ -113,7 +119,7 @@ class Wire(ABC):
     def renew(self) -> None:  # noqa: B027 - a serial line has no connections
         """Open a new TCP connection in place of this one."""
 
-    def __enter__(self) -> Wire:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -162,11 +168,16 @@ class SerialWire(Wire):
         while self._master.overhear(2 * self._format.t3_5_ns)[0]:
             if time.monotonic_ns() > quiet_ns:
                 raise LinkError(f"{self._master.link}: somebody else speaks without a pause")
+        made_ns = end_ns = 0
         for number, piece in enumerate(pieces):
             if number:
-                time.sleep(pause_ns / SECOND_NS)
-            self._master.send_bytes(piece)
-        return self.hear(self._wait_ns(awaited))
+                time.sleep(max(end_ns + pause_ns - time.monotonic_ns(), 0) / SECOND_NS)
+            taken_ns = self._master.send_bytes(piece)
+            made_ns = max(made_ns, taken_ns - end_ns) if number else 0
+            # A virtual line says at once that all bytes have left, and carries them afterwards.
+            on_line_ns = len(piece) * self._format.character_ns
+            end_ns = max(taken_ns + on_line_ns, time.monotonic_ns())
+        return self.hear(self._wait_ns(awaited))._replace(made_pause_ns=made_ns)
 
     def hear(self, wait_ns: int) -> Heard:
         sent_ns = looked_ns = time.monotonic_ns()
@@ -234,6 +245,37 @@ class TcpWire(Wire):
         self._last_id = self._last_id % 0xFFFF + 1
         return mbap_adu(self._last_id, unit, pdu)
 
+    def another(self) -> TcpWire:
+        """Return a further connection to the same slave. Raises LinkError if it is refused."""
+        return TcpWire(self._link, self.timeout_ns)
+
+    def rest_silent(self, silent_ns: int) -> bool:
+        """Send nothing for `silent_ns` ns, with keep-alive probes from one second on; False if the
+        connection ends meanwhile.
+
+        Raises LinkError if nothing answers the probes.
+        """
+        if self._socket is None:
+            self.renew()
+        assert self._socket is not None
+        for name, value in _KEEP_ALIVE:
+            if hasattr(socket, name):
+                self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._socket.settimeout(silent_ns / SECOND_NS)
+        try:
+            while self._socket.recv(READ_BYTES):
+                pass
+        except TimeoutError as error:
+            if error.errno != ETIMEDOUT:
+                return True
+            self.close()
+            raise LinkError(f"{self._link}: no answer to the keep-alive probes of TCP") from error
+        except OSError:
+            pass
+        self.close()
+        return False
+
     def renew(self) -> None:
         self.close()
         endpoint = self._link.endpoint
@@ -247,7 +289,9 @@ class TcpWire(Wire):
         if self._socket is None:
             self.renew()
         assert self._socket is not None
-        was_closed = self._is_ended()
+        was_closed = self.is_ended()
+        if was_closed:
+            self.renew()
         try:
             for number, piece in enumerate(pieces):
                 if number:
@@ -288,22 +332,19 @@ class TcpWire(Wire):
         rest = raw[size:] if adus and size else b""
         return Heard(raw, adus, after_ns, is_closed, was_closed, rest=rest)
 
-    def _is_ended(self) -> bool:
-        """Open the connection again if the slave has ended it; True if it had.
-
-        Bytes that came since the last answer are dropped.
+    def is_ended(self) -> bool:
+        """Return True if the slave has ended the connection. Bytes that came since the last answer
+        are dropped.
         """
-        assert self._socket is not None
+        if self._socket is None:
+            return True
         try:
             while select.select([self._socket], [], [], 0)[0]:
                 if not self._socket.recv(READ_BYTES):
-                    break
-            else:
-                return False
+                    return True
         except OSError:
-            pass
-        self.renew()
-        return True
+            return True
+        return False
 
     def damage(self, raw: bytes, request: bytes) -> str:
         if self._link.rtu:

@@ -88,7 +88,6 @@ class TcpConnection:
         "_directions",
         "_finisher",
         "_has_acknowledged",
-        "_is_ignored",
         "_master_is_lower",
         "_now_ns",
         "_opened_ns",
@@ -99,6 +98,7 @@ class TcpConnection:
         "keep_alives",
         "last_ns",
         "unanswered_probes",
+        "wants_bytes",
     )
 
     def __init__(
@@ -118,8 +118,8 @@ class TcpConnection:
         self.unanswered_probes = 0
         """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._opened_ns = ts_ns
-        self._is_ignored = False
-        """True once the bytes of this connection are not wanted any more; only its end is told."""
+        self.wants_bytes = True
+        """False once the bytes of this connection are not wanted any more; only its end is told."""
         self._has_acknowledged = False
         """True once a segment other than one that continues both streams in order had an
         acknowledgement."""
@@ -165,7 +165,7 @@ class TcpConnection:
 
     def ignore(self) -> None:
         """Deliver no more bytes of this connection; drop those that are held."""
-        self._is_ignored = True
+        self.wants_bytes = False
         for stream, _ in self._directions:
             stream.drop_held()
 
@@ -195,7 +195,7 @@ class TcpConnection:
             return False
         self._arrivals += 1
         sender, other = self._directions[from_lower != self._master_is_lower]
-        if self._is_ignored and segment.payload and segment.flags & _STATE_FLAGS == ACK:
+        if not self.wants_bytes and segment.payload and segment.flags & _STATE_FLAGS == ACK:
             sender.skip_to(segment.sequence, len(segment.payload) + segment.missing)
             return False
         if sender is not self._prober:

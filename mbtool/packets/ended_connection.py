@@ -47,6 +47,7 @@ class EndedConnection:
     __slots__ = ("_begins", "_master_is_lower", "_sizes", "identity", "last_ns")
 
     closed: Literal[True] = True
+    wants_bytes: Literal[False] = False
 
     def __init__(
         self,

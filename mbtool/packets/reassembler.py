@@ -364,7 +364,7 @@ class TcpReassembler:
             self._connections[key] = connection
         self._connections.move_to_end(key)
         self._followed = connection
-        origin = self._origin() if segment.payload else None
+        origin = self._origin() if segment.payload and connection.wants_bytes else None
         holds_bytes = connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
         if holds_bytes and isinstance(connection, TcpConnection):
             # _advance removes a connection from `_holding` when it holds back no more bytes.

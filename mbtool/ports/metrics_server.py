@@ -2,18 +2,21 @@
 
 # The server runs in threads of its own and only hands out the text that was set last, so whoever
 # fetches it, and how slowly, makes nobody wait. A connection ends after FETCH_S, whatever came by
-# then; at most MAX_FETCHING are served at once, and others are closed.
+# then; at most MAX_FETCHING are served at once, and others are closed. Who may connect, and how
+# often, is decided as for a tap or a slave (tcp_listener.py).
 
 from __future__ import annotations
 
 import socket
 import threading
+import time
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import TCPServer
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, ConnectionRate
 
 if TYPE_CHECKING:
     from socketserver import BaseServer
@@ -35,8 +38,9 @@ def parse_place(text: str) -> Endpoint:
 class MetricsServer:
     """Serves the text at /metrics, while its `with` block runs."""
 
-    def __init__(self, place: Endpoint) -> None:
+    def __init__(self, place: Endpoint, allowed: AllowedPeers = THIS_MACHINE) -> None:
         self._place = place
+        self._allowed = allowed
         self.text = b"# EOF\n"
         self._server: ThreadingHTTPServer | None = None
 
@@ -47,10 +51,13 @@ class MetricsServer:
         return str(Endpoint(self._place.host, self._server.server_port))
 
     def __enter__(self) -> MetricsServer:
-        """Raises LinkError if the address cannot be opened."""
+        """Raises LinkError if the address cannot be opened, and UsageError if other machines can
+        reach it and none may connect.
+        """
         handler = type("_Handler", (_TextHandler,), {"source": self})
         try:
-            self._server = _Server((self._place.host, self._place.port), handler)
+            address = self._place.host, self._place.port
+            self._server = _Server(address, handler, self._allowed, f"--metrics {self._place}")
         except OSError as error:
             raise LinkError(f"--metrics {self._place}: cannot be opened: {error}") from error
         threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
@@ -67,9 +74,26 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     _room = threading.BoundedSemaphore(MAX_FETCHING)
 
-    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+    def __init__(
+        self,
+        address: tuple[str, int],
+        handler: type[BaseHTTPRequestHandler],
+        allowed: AllowedPeers,
+        name: str,
+    ) -> None:
+        """`name` is the user's text for the address."""
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        self._allowed = allowed
+        self._name = name
+        self._rate = ConnectionRate(allowed.limits.per_second)
         super().__init__(address, handler)
+
+    def server_activate(self) -> None:
+        self._allowed.demand_for(self._name, str(self.server_address[0]))
+        super().server_activate()
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        return client_address[0] in self._allowed and self._rate.admits(time.monotonic())
 
     def server_bind(self) -> None:
         """Bind as HTTPServer does, but ask no DNS server for the name of this machine."""

@@ -119,6 +119,17 @@ class AllowedPeers:
             network.prefixlen == 0 or address in network for network in self.networks
         )
 
+    def demand_for(self, name: str, host: str) -> None:
+        """Raise UsageError if other machines can reach the address `host`, and none may connect.
+
+        `name` is the user's text for the endpoint.
+        """
+        if not self.networks and host not in self:
+            raise UsageError(
+                f"{name}: other machines can reach {host}; listen at 127.0.0.1, or name "
+                "those that may connect: --allow 192.168.1.0/24, or --allow 0.0.0.0/0 for all"
+            )
+
 
 THIS_MACHINE = AllowedPeers()
 """Only this machine may connect: the default of every listener."""
@@ -187,12 +198,7 @@ class TcpListener:
         LinkError if the host is unknown or the system refuses the endpoint.
         """
         self._family, self._address = self._resolve()
-        host = self._address[0]
-        if not self._allowed.networks and host not in THIS_MACHINE:
-            raise UsageError(
-                f"{self._link}: other machines can reach {host}; listen at 127.0.0.1, or name "
-                "those that may connect: --allow 192.168.1.0/24, or --allow 0.0.0.0/0 for all"
-            )
+        self._allowed.demand_for(str(self._link), self._address[0])
         self.sock = self._bind()
         try:
             if not self._is_udp:

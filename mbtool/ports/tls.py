@@ -164,6 +164,7 @@ def _context(protocol: int) -> ssl.SSLContext:
     load_reader()
     context = ssl.SSLContext(protocol)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.options |= ssl.OP_NO_RENEGOTIATION  # A peer could make the tap calculate for ever.
     context.sslobject_class = PeerTls
     return context
 

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -250,6 +251,25 @@ def _numbers(one: NamedTransaction) -> Iterator[float]:
             yield point.value
             if not float(point.value).is_integer():
                 yield float(f"{point.value:.{_SHOWN_DIGITS}g}")
+                yield _as_shown(point.value)
+
+
+def _as_shown(number: float) -> float:
+    """Return a number of a point as it is shown: one of 32 bits with its 7 digits, 23.4 and not
+    23.399999618.
+    """
+    if float(number).is_integer():
+        return number
+    shown = float(f"{number:.7g}")
+    is_of_32_bits = abs(number) < _MOST_OF_32_BITS and _of_32_bits(number) == number
+    return shown if is_of_32_bits and _of_32_bits(shown) == number else number
+
+
+def _of_32_bits(number: float) -> float:
+    return float(struct.unpack("f", struct.pack("f", number))[0])
+
+
+_MOST_OF_32_BITS = 3e38
 
 
 def point_term(name: str, *, is_text: bool) -> Term:
@@ -259,7 +279,9 @@ def point_term(name: str, *, is_text: bool) -> Term:
     def value(one: NamedTransaction) -> object:
         for point in one.points:
             if point.name.casefold() == wanted:
-                return point.text if is_text else point.value
+                if is_text:
+                    return point.text
+                return None if point.value is None else _as_shown(point.value)
         return None
 
     kind = ValueKind.TEXT if is_text else ValueKind.NUMBER

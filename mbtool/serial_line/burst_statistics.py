@@ -30,7 +30,7 @@ class BurstStatistics:
 
     __slots__ = (
         "_bursts", "_shortest_ns", "_silence_ns", "_size", "_was_full", "has_merged",
-        "may_merge_retry",
+        "may_merge_retry", "merges_briefly",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -38,6 +38,9 @@ class BurstStatistics:
         """True once two frames came with no time between them. Until then nothing is learned."""
         self.may_merge_retry = False
         """True if a request and its retry may come as one burst."""
+        self.merges_briefly = False
+        """True if a silence between bursts was too short for a request and its retry to come as one
+        burst."""
         self._size = 0
         """The number of bytes of the current burst so far."""
         self._silence_ns = inf
@@ -76,5 +79,7 @@ class BurstStatistics:
             self._bursts += 1
             if self._silence_ns < self._shortest_ns:
                 self._shortest_ns = self._silence_ns
-        self.may_merge_retry = self._bursts >= ENOUGH_BURSTS and self._shortest_ns >= MERGING_NS
+        is_known = self._bursts >= ENOUGH_BURSTS
+        self.may_merge_retry = is_known and self._shortest_ns >= MERGING_NS
+        self.merges_briefly = is_known and self._shortest_ns < MERGING_NS
         self._was_full, self._size, self._silence_ns = is_full, size, silence_ns

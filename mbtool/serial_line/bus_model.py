@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 SURE = 0.8
 """A frame is called ambiguous if its confidence (0.5 to 1) is less than this."""
+UNSURE = 0.79
+"""The confidence (0.5 to 1) of a frame that is found ambiguous is lowered to this, below `SURE`."""
 
 CERTAIN_BY = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
@@ -58,6 +60,9 @@ class Classification(msgspec.Struct, frozen=True, gc=False):
     direction: Direction
     by: DirectionBy
     confidence: float
+    is_final: bool = False
+    """True if no later frame can decide the direction, so that the bus state which follows from the
+    other direction is not kept."""
 
 
 _SLOW_NS = LatencyStatistics.MIN_WRITE_NS
@@ -234,7 +239,8 @@ class BusModel:
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
         frame = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
-        if len(self.states) == 1 and classification.confidence >= NO_RIVAL_CONFIDENCE:
+        is_sole = len(self.states) == 1 and classification.confidence >= NO_RIVAL_CONFIDENCE
+        if is_sole or classification.is_final:
             self.states = [(0.0, self.next_state(state, *frame))]
             return
         states = self._states_after(*frame)
@@ -277,6 +283,7 @@ class BusModel:
         if pdu[0] in WRITE_SEVERAL:
             self._repeated_write = None
             history.wrong_echoes.pop((pending.unit, pdu[0]), None)
+            history.usual_echoes.add((pending.unit, pdu[0]))
         if is_sure and pdu != pending.pdu:
             if history.unanswered or pending.unit not in history.answering:
                 history.learn_answer(pending.unit)
@@ -364,22 +371,36 @@ class BusModel:
             return state.last_ns is not None
         return waited_ns > LatencyStatistics.MIN_WRITE_NS
 
-    def may_be_retry(self, unit: int, pdu: bytes) -> bool:
+    def may_be_retry(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame equals the one before it, and nothing tells a response from a retry.
 
-        That is so if silences do not tell who speaks, or none was heard so far, and no response of
-        the unit has differed from its request. But two equal frames on a line with a single unit
-        are taken for a request and its response.
+        That is so if the silence before the frame, which began at `start_ns`, does not tell who
+        speaks, and no response of the unit has differed from its request. But two equal frames on a
+        line with a single unit are taken for a request and its response.
         """
         history, state = self.history, self.state
-        is_heard = history.trusts_silences and history.hears_silences
-        if is_heard or unit in history.answering or pdu[0] not in ECHOING:
+        if unit in history.answering or pdu[0] not in ECHOING:
+            return False
+        if history.hears_wait(start_ns - (state.last_ns or 0)):
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0
             may_be_absent = is_third or len(history.units) > 1
             return may_be_absent and state.pending.is_same(unit, pdu)
         return state.answered is not None and state.answered.is_same(unit, pdu)
+
+    def may_be_whole_echo(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a write of several values that equals the pending one may be its response.
+
+        That is so if the silence before it, which ended at `start_ns`, tells nothing, and the unit
+        answers, but has not shown how it answers this function.
+        """
+        history, pending = self.history, self.state.pending
+        if pending is None or not pending.is_same(unit, pdu):
+            return False
+        if unit not in history.answering or (unit, pdu[0]) in history.usual_echoes:
+            return False
+        return not history.hears_wait(start_ns - pending.awaited_from_ns)
 
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame that equals the pending request may be a retry or a slow response.

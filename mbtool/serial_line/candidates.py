@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import accumulate, product
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size
+from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size, frame_starts
 from mbtool.modbus.adu import MAX_RTU_ADU, RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
@@ -25,7 +26,7 @@ from mbtool.serial_line.bit_repair import repaired
 from mbtool.serial_line.plausibility import is_counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.serial_line.bus_model import BusModel
     from mbtool.serial_line.bus_state import BusState
@@ -41,6 +42,8 @@ LONG_SKIP = 4
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
+COUNTED = frozenset(b"\x0f\x10\x17")
+"""The functions whose requests carry a quantity and a byte count."""
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
 (V1.1b3, 6.8.1)."""
@@ -92,21 +95,27 @@ class DamagedCandidate(msgspec.Struct, gc=False):
 
 
 class _RangeCount:
-    """Counts the offsets in a range for which `has_it` returns True; calls it once for each."""
+    """Counts the offsets in a range that have a property; looks at each once.
 
-    __slots__ = ("_before", "_has_it")
+    `having` takes two offsets; it tells for each offset from the first up to the second if it has.
+    """
 
-    def __init__(self, has_it: Callable[[int], bool]) -> None:
-        self._has_it = has_it
+    __slots__ = ("_before", "_having")
+
+    def __init__(self, having: Callable[[int, int], Iterable[bool]]) -> None:
+        self._having = having
         self._before = [0]
-        """For each offset, the number of smaller offsets for which `has_it` is True."""
+        """For each offset, the number of smaller offsets that have the property."""
 
     def count(self, first: int, end: int) -> int:
         if end <= first:
             return 0
         before = self._before
-        while len(before) <= end:
-            before.append(before[-1] + self._has_it(len(before) - 1))
+        if len(before) <= end:
+            begin, number = len(before) - 1, before[-1]
+            for has_it in self._having(begin, end):
+                number += has_it
+                before.append(number)
         return before[end] - before[first]
 
 
@@ -128,13 +137,57 @@ class Candidates:
         self._roles = roles
         self._frames: dict[int, list[FrameCandidate]] = {}
         """By offset examined so far, the frames with a correct CRC that begin there."""
+        self._ends: dict[int, list[int]] = {}
+        """By offset examined so far, the first sizes up to which the bytes have a correct CRC."""
+        self._places: list[int] = []
+        """The offsets searched so far at which a frame may begin behind bytes that belong to none,
+        in order."""
+        self._searched_to = 0
+        """All offsets below this one were searched for places, except those never asked for."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
-        self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
-        self._frames_after_silence = _RangeCount(self._begins_after_silence)
+        self._all_frames = _RangeCount(
+            lambda first, end: frame_starts(window.data, first, end, roles)
+        )
+        self._frames_after_silence = _RangeCount(
+            lambda first, end: [
+                window.silences[at] and self._begins_after_silence(at) for at in range(first, end)
+            ]
+        )
         self._silences = [0, 0, *accumulate(window.silences[1:])]
         """For each offset, the number of bytes before it that directly follow a silence of t3.5."""
+
+    def next_place(self, offset: int) -> int:
+        """Return the first offset, from `offset` on, at which a frame may begin behind bytes that
+        belong to no frame; the window's end if there is none.
+
+        A frame of known form with a correct CRC begins there, or a silence, or the unit and
+        function of an earlier request, or a write whose byte count agrees with its quantity.
+        """
+        places = self._places
+        at = max(self._searched_to, offset)
+        while not places or places[-1] < offset:
+            if at >= self._end:
+                self._searched_to = at
+                return self._end
+            if self._is_place(at):
+                places.append(at)
+            at += 1
+        self._searched_to = at
+        return places[bisect_left(places, offset)]
+
+    def _is_place(self, offset: int) -> bool:
+        data, history = self._data, self._model.history
+        if self._window.silences[offset]:
+            return True
+        if data[offset] in history.units and history.has_function(data[offset : offset + 2]):
+            return True
+        if offset + MIN_FRAME > self._end:
+            return False
+        if data[offset + 1] in COUNTED and is_counted(data[offset + 1 : offset + MAX_RTU_ADU]):
+            return True
+        return self._all_frames.count(offset, offset + 1) > 0
 
     def split_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of the silences of t3.5 inside the `size` bytes of a frame."""
@@ -169,12 +222,10 @@ class Candidates:
         return costs.CRC_COINCIDENCE * enclosed
 
     def _begins_after_silence(self, offset: int) -> bool:
-        """True if a silence precedes the byte at `offset` and a frame begins there.
+        """True if a frame begins at `offset`, before which a silence is.
 
         The frame has a correct CRC, and ends where its function tells or at the next silence.
         """
-        if not self._window.silences[offset]:
-            return False
         if self.frames(offset):
             return True
         burst = self._burst_size(offset)
@@ -233,10 +284,12 @@ class Candidates:
         roles = [
             role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
         ]
-        for size in crc_ends(head, MAX_UNKNOWN_ENDS) if roles else ():
+        ends = self._unknown_ends(offset) if roles else []
+        for size in ends:
             if size == burst:
                 continue
             cost = self._enclosed_cost(offset, size, known=False)
+            cost += costs.CRC_COINCIDENCE * self._chained(offset + ends[0], offset + size)
             if not cost and self._all_frames.count(offset + 1, offset + size - MIN_FRAME + 1):
                 cost = costs.UNKNOWN_CRC_COINCIDENCE
             is_burst = size < burst and not any(head[size:burst])  # Only 00 follows in the burst.
@@ -244,6 +297,30 @@ class Candidates:
             cost += self._zero_end_cost(offset, size)
             for role in roles:
                 yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
+
+    def _unknown_ends(self, offset: int) -> list[int]:
+        """Return the sizes up to which the bytes at an offset have a correct CRC, the least first,
+        at most MAX_UNKNOWN_ENDS.
+        """
+        ends = self._ends.get(offset)
+        if ends is None:
+            head = self._data[offset : offset + MAX_RTU_ADU]
+            ends = self._ends[offset] = list(crc_ends(head, MAX_UNKNOWN_ENDS))
+        return ends
+
+    def _chained(self, offset: int, end: int) -> int:
+        """Return how many frames follow each other from an offset on, up to the offset `end`.
+
+        Each ends where its CRC is first correct. A longer frame whose bytes they are has all these
+        correct CRCs by chance.
+        """
+        count = 0
+        while offset + MIN_FRAME <= end:
+            ends = self._unknown_ends(offset)
+            if not ends or offset + ends[0] > end:
+                break
+            count, offset = count + 1, offset + ends[0]
+        return count
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of supposing that bytes 00 at a frame's end belong to it."""

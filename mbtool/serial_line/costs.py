@@ -136,6 +136,13 @@ retry."""
 SHORT_PAUSE_SHARE = 0.5
 """A pause (from a response to the next request) is short if it is shorter than this share of the
 shortest pause of the line so far."""
+USUAL_PAUSE = 3.0
+"""Extra cost, in bits, of a second response to a request and its retry that comes as late after the
+first response as this master sends its next request: slaves answer what they have received at
+once."""
+USUAL_PAUSE_SHARE = 0.9
+"""A silence may be the master's pause if it is at least this share (0 to 1) of the shortest pause
+of the line so far: times differ by a few milliseconds."""
 LATE = 3.0
 """The cost, in bits, of a response that takes longer than the longest response time of this
 line."""

@@ -26,6 +26,7 @@ from mbtool.serial_line.bus_model import (
     REQUEST_BY_FORM,
     ROLES,
     SURE,
+    UNSURE,
     BusModel,
     Classification,
 )
@@ -48,6 +49,8 @@ _ONLY = {role: [role] for role in ROLES}
 _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
+_LOOP = 5
+"""So many equal frames behind the first one are a loop of one request, not its retries."""
 _LONG_RUN = 24
 """From so many equal frames in a row on, the number of those that follow does not matter. It is at
 most as many frames as the window keeps undecided."""
@@ -78,6 +81,8 @@ class FastPath:
         self._run = b""
         self._run_size = 0
         """The number of undecided bytes that are known to be frames equal to `_run`."""
+        self._run_decided = 0
+        """The number of decided bytes of the run of equal frames, without its first frame."""
 
     def restart(self, removed: int, *, behind_noise: bool) -> None:
         """Forget the possible sizes of the next frame, as the first `removed` bytes are decided.
@@ -85,6 +90,7 @@ class FastPath:
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
         self._run_size -= removed
+        self._run_decided += removed
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []
@@ -119,11 +125,12 @@ class FastPath:
             if ordinary is not None:
                 return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)
+        if self._is_never_decided(unit, pdu, start_ns):
+            return size, self._undecided(unit, pdu, start_ns)
         cost = model.cost(model.state, unit, pdu, classified.direction, start_ns)
         if cost > _MAX_COST and not (
-            classified is REQUEST_BY_FORM
-            and cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
-            and self._begins_request(unit, pdu)
+            cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
+            and self._is_next_request(classified, unit, pdu)
         ):
             return None
         if len(roles) > 1 and not self._is_direction_certain(classified, head, size):
@@ -216,6 +223,38 @@ class FastPath:
                 return False
         return True
 
+    def _is_next_request(self, classified: Classification, unit: int, pdu: bytes) -> bool:
+        """True if a frame is a request, by its form or since no response is like it.
+
+        The request before it may have no response. False behind bytes that belong to no frame.
+        """
+        if classified is REQUEST_BY_FORM:
+            return self._begins_request(unit, pdu)
+        is_echo = pdu[0] in ECHOING and not self._model.history.timed
+        return is_echo and classified.direction is Direction.REQUEST and not self._is_behind_noise
+
+    def _is_never_decided(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a frame that equals the one before may be its response, its retry or a new
+        request, and no later frame can tell, as times are not known and the unit is silent
+        otherwise.
+        """
+        return not self._model.history.timed and self._model.may_be_retry(unit, pdu, start_ns)
+
+    def _undecided(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
+        """Return the likelier direction of a frame that equals the one before, as doubtful.
+
+        If it is a retry, a request remains without a response.
+        """
+        model = self._model
+        request, response = (model.cost(model.state, unit, pdu, role, start_ns) for role in ROLES)
+        pending = model.state.pending
+        if pending is not None:
+            silent = model.history.silent_bits(model.state, pending)
+            request += max(model.history.no_answer.bits - silent, costs.MIN_UNANSWERED)
+        confidence = min(confidence_of(abs(request - response)), UNSURE)
+        role = Direction.REQUEST if request < response else Direction.RESPONSE
+        return Classification(role, DirectionBy.PENDING, confidence, is_final=True)
+
     def _is_ordinary_response(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame surely costs nothing (`frame_cost`) as a response to the pending request.
 
@@ -243,17 +282,29 @@ class FastPath:
         direction is uncertain: then the costs of both directions are computed. `data` are the frame
         and the bytes behind it.
         """
-        history, pending = self._model.history, state.pending
-        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or state.overdue is not None:
+        history, pending, overdue = self._model.history, state.pending, state.overdue
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_odd_request(pdu):
             return None
-        if is_odd_request(pdu):
+        if pending is not None and pending.unit != unit and not history.timed:
+            if state.follows_damage or (overdue is not None and overdue.fits(unit, pdu)):
+                return None
+            bits = costs.UNREQUESTED_RESPONSE - _MAX_COST - history.no_answer.bits
+            confidence = confidence_of(bits)
+            return Classification(Direction.REQUEST, DirectionBy.IDLE, confidence, is_final=True)
+        if overdue is not None and history.timed:
+            return None
+        may_be_late = overdue is not None and pending is None and overdue.fits(unit, pdu)
+        if may_be_late and not self._are_pairs(data, len(pdu) + 3):
             return None
         if pending is not None:
             is_echo = not history.timed and pending.is_same(unit, pdu)
             silent = history.silent_bits(state, pending) if is_echo else 0.0
             if not is_echo or silent or history.retry.bits < costs.RETRY:
                 return None
-            return FITTING_RESPONSE if self._follows_response(data, len(pdu) + 3) else None
+            size = len(pdu) + 3
+            if self._follows_response(data, size):
+                return FITTING_RESPONSE
+            return self._in_odd_run(Direction.RESPONSE, data, size)
         if state.follows_damage or state.last_ns is None:
             return None
         bits = costs.UNREQUESTED_RESPONSE - costs.REQUEST
@@ -262,6 +313,9 @@ class FastPath:
             if history.trusts_silences:
                 return None
             bits -= min(history.repeat.bits, costs.REPEAT_AGAIN if state.is_repeat else bits)
+            odd = self._in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
+            if odd is not None:
+                return odd
         elif state.last_response == pdu:
             return None
         elif (unit, pdu) not in history.requests:
@@ -287,10 +341,47 @@ class FastPath:
             return crc(after) == 0 and data.startswith(after, 2 * size)
         if self._is_long_loop(data, size):
             return True
+        count = self._count_ended_loop(data, size)
+        return count % 2 == 1
+
+    def _in_odd_run(self, role: Direction, data: bytes, size: int) -> Classification | None:
+        """Return `role` for a frame of `size` bytes in a run of an odd number of equal frames.
+
+        One request of the run has no response, and nothing tells which. So each is as likely, and
+        the later the frame, the less likely are request and response by turns up to it. None if
+        the run has an even number of frames, or its end is not heard yet.
+        """
+        count = self._count_ended_loop(data, size)
+        is_request = role is Direction.REQUEST
+        if not count or count % 2 != is_request:
+            return None
+        behind = (count + 1) // 2
+        before = (self._run_decided // size + (1 if is_request else 2)) // 2
+        by = DirectionBy.IDLE if is_request else DirectionBy.PENDING
+        return Classification(role, by, behind / (behind + before), is_final=True)
+
+    def _are_pairs(self, data: bytes, size: int) -> bool:
+        """True if an even number of equal frames of `size` bytes follow each other, and another
+        frame behind them.
+        """
+        count = self._count_run(data, data[:size])
+        return count % 2 == 0 and not data.startswith(data[count * size : (count + 1) * size])
+
+    def _count_ended_loop(self, data: bytes, size: int) -> int:
+        """Return how many frames equal to the first one, of `size` bytes, follow each other.
+
+        0 if more may follow, or if the master does not write one value in a loop, as far as is
+        known.
+        """
+        history, raw = self._model.history, data[:size]
+        if history.timed:
+            return 0
         count = self._count_run(data, raw)
+        is_long = self._run_decided // size + count >= _LOOP
+        if history.repeat.bits > costs.REPEAT_AGAIN and not is_long:
+            return 0
         is_over = not raw.startswith(data[count * size : (count + 1) * size])
-        is_loop = self._model.history.repeat.bits <= costs.REPEAT_AGAIN
-        return is_loop and is_over and count % 2 == 1
+        return count if is_over else 0
 
     def _is_long_loop(self, data: bytes, size: int) -> bool:
         """True if the next frame, of `size` bytes, is one of many equal ones, and the master is
@@ -303,6 +394,8 @@ class FastPath:
     def _count_run(self, data: bytes, raw: bytes) -> int:
         """Return how many frames equal to `raw` the bytes begin with."""
         end = self._run_size if self._run == raw and self._run_size > 0 else 0
+        if not end:
+            self._run_decided = 0
         end -= end % len(raw)
         while data.startswith(raw, end):
             end += len(raw)
@@ -314,8 +407,14 @@ class FastPath:
 
         `head` are the frame, which has `size` bytes, and bytes behind it.
         """
+        if self._model.state.last_ns is None:
+            return False  # The frames behind the first one of a capture tell its direction.
         if self._model.history.trusts_silences:
-            return classified.confidence >= SURE
+            # An equal frame right behind may be the response, and this one a retry.
+            behind = head[size : 2 * size]
+            is_repeated = behind and head.startswith(behind)
+            is_response = classified.direction is Direction.RESPONSE
+            return classified.confidence >= SURE and not (is_response and is_repeated)
         if classified.direction is Direction.REQUEST:
             return classified.confidence >= _REQUEST_CONFIDENCE
         # If silences do not tell who speaks, two equal frames may be a request and its echo, or a

@@ -129,12 +129,19 @@ class FrameCopies:
     def may_copy(self, raw: bytes, following: bytes) -> bool:
         """True if a frame may be a request or its copy, although the adapter is not known to echo.
 
-        That is so if all requests so far came twice, and a frame equal to this one comes directly
-        before or behind it. `raw` is this frame, `following` the bytes behind it.
+        That is so if the last requests came twice, too few to be sure, and a frame equal to this
+        one comes directly before or behind it. `raw` is this frame; `following` the bytes behind.
         """
-        if self.echoes or self._has_single or not self.copies:
+        if self.echoes or self._has_single or not 0 < self.copies < ENOUGH_COPIES:
             return False
         return raw == self.last or following.startswith(raw)
+
+    def may_copy_retry(self, raw: bytes, following: bytes) -> bool:
+        """True if a frame behind a copied request may be its retry: it is equal, and comes twice.
+
+        It may also be the response, with the same request again behind it.
+        """
+        return not self.repeats and raw == self.copied and following.startswith(raw)
 
     def said_of_response(self) -> str:
         """Return the reason for skipping the copy of a response, as a text."""
@@ -181,6 +188,10 @@ class FrameCopies:
             return
         if self.last_response and (self._repeated or self.repeats):
             self._end_single_response()
+        if is_certain and raw == self.last:  # A slave repeats the whole request, or the adapter.
+            self._is_copied, self._is_surely_copied, self.last = True, False, b""
+            self.last_response = b""
+            return
         self.last_response = raw if is_certain or self.repeats else b""
         if self._is_copied:
             self._is_copied, self.copies = False, self.copies + 1

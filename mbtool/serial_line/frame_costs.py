@@ -82,17 +82,20 @@ def _request_cost(
     if is_repeat:
         if not history.trusts_silences or overdue is not None:
             again = costs.REPEAT_AGAIN if state.is_repeat else history.repeat.bits
-            cost += min(history.repeat.bits, again)
+            most = costs.REPEAT_AFTER_RESPONSE if history.trusts_silences else again
+            cost += min(history.repeat.bits, again, most)
     elif state.last_response == pdu and _may_be_second_response(state.answered, unit, pdu):
         cost += costs.REQUEST_EQUALS_RESPONSE
     if not (is_retry or is_repeat or (unit, pdu) in history.requests):
         cost += _new_request_cost(pdu)
     if pending is None:
         return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
-    silent = history.silent_bits(state, pending)
+    is_rewrite = not is_retry and pdu[0] in ECHOING and pending.has_address_of(unit, pdu)
+    # A rewrite may be a wrong echo: it does not tell that the unit is absent.
+    silent = history.unanswered_bits(unit) if is_rewrite else history.silent_bits(state, pending)
     if not is_retry:
         cost += max(history.no_answer.bits - silent, costs.MIN_UNANSWERED)
-        if pdu[0] in ECHOING and pending.has_address_of(unit, pdu):
+        if is_rewrite:
             cost += history.rewrite.bits
     elif overdue is not None and overdue.is_same(unit, pdu):
         is_usual = state.retries < USUAL_RETRIES - 1
@@ -114,6 +117,23 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
     return costs.SHORT_PAUSE if is_short else 0.0
 
 
+def _usual_pause_cost(
+    history: LineHistory, state: BusState, overdue: PendingRequest, at_ns: int
+) -> float:
+    """Return the extra cost, in bits, of a second response to `overdue` and its retry.
+
+    It is 0 unless the second response, which begins at `at_ns`, comes as late after the first one
+    as this master usually sends its next request.
+    """
+    answered, last_ns = state.answered, state.last_ns
+    if last_ns is None or answered is None or answered.pdu != overdue.pdu:
+        return 0.0
+    if not history.trusts_silences or history.pauses < ENOUGH_PAUSES:
+        return 0.0
+    is_usual = at_ns - last_ns >= history.shortest_pause_ns * costs.USUAL_PAUSE_SHARE
+    return costs.USUAL_PAUSE if is_usual else 0.0
+
+
 def _early_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
 ) -> float:
@@ -125,8 +145,8 @@ def _early_cost(
     if not history.trusts_silences:
         return 0.0
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
-    if waited_ns <= 0 and not history.hears_silences:
-        return 0.0  # All frames so far were merged, so nothing tells how long the master waited.
+    if waited_ns <= 0 and not history.hears_wait(waited_ns):
+        return 0.0  # The frames were merged, and nothing tells how long the master waited.
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         is_whole = is_retry and pending.pdu[0] in WRITE_SEVERAL and not history.timeout.is_known
         return max(costs.EARLY_REQUEST, _short_timeout_cost(waited_ns) if is_whole else 0.0)
@@ -180,7 +200,8 @@ def _response_cost(
             return _wrong_echo_cost(history, state, pending, pdu, at_ns)
         return costs.MISMATCHED_RESPONSE + odd, 0.0
     if overdue is not None and _answers_late(overdue, unit, pdu, at_ns):
-        return _late_response_cost(state, pending, overdue, pdu), 0.0
+        by_time = _usual_pause_cost(history, state, overdue, at_ns)
+        return _late_response_cost(state, pending, overdue, pdu), by_time
     if state.follows_damage and _is_unrequested_exception(history, unit, pdu):
         odd += costs.UNREQUESTED_EXCEPTION
     if pending is None and state.follows_damage:
@@ -203,7 +224,7 @@ def _wrong_echo_cost(
         is_silent = pending.unit in history.unanswered
         cost += costs.WRONG_ECHO_OF_SILENT_UNIT if is_silent else costs.WRONG_ECHO_OF_NEW_UNIT
     cost -= costs.WRONG_ECHO_AGAIN * times
-    return cost + history.silent_bits(state, pending), by_time
+    return cost + history.unanswered_bits(pending.unit), by_time
 
 
 def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bool:

@@ -1,7 +1,7 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
 # Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in each of
-# `functions`, `echo_latencies` and `wrong_echoes`.
+# `functions`, `echo_latencies`, `wrong_echoes` and `usual_echoes`.
 
 from __future__ import annotations
 
@@ -45,6 +45,9 @@ class LineHistory:
         """A silence up to this length, in ns, is usual on any line of this baud rate."""
         self.hears_silences = False
         """True once a silence of t3.5 was heard between two frames or inside one."""
+        self.merges_briefly = False
+        """True if the adapter merges frames, but never for so long that a request and its retry
+        come as one burst."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -71,6 +74,8 @@ class LineHistory:
         """By unit and function, the number of responses that were probably wrong echoes, up to
         costs.WRONG_ECHOES. A wrong echo repeats another value than the request, or, of 0FH and 10H,
         the whole request."""
+        self.usual_echoes: set[tuple[int, int]] = set()
+        """The pairs of unit and function, 0FH or 10H, that had a response of the usual form."""
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
@@ -107,6 +112,15 @@ class LineHistory:
         unit, begin = head[0], head[1:]
         return any(pdu.startswith(begin[: len(pdu)]) for one, pdu in self.requests if one == unit)
 
+    def hears_wait(self, waited_ns: int) -> bool:
+        """True if `waited_ns` between two frames tells how long the master waited.
+
+        If it is 0, an adapter has merged the two, and may have held them back for long.
+        """
+        if not self.trusts_silences:
+            return False
+        return self.hears_silences if waited_ns > 0 else self.merges_briefly
+
     def master_still_waits(self, waited_ns: int) -> bool | None:
         """True if a master surely still waits for a response `waited_ns` after its request.
 
@@ -126,13 +140,18 @@ class LineHistory:
         equals its request, and other units have answered but this unit never has (not even the
         request before, which `pending` repeats).
         """
-        unit = pending.unit
-        unanswered = self.unanswered.get(unit, 0)
-        bits = log2(1 + unanswered) if unanswered else 0.0
+        unit, bits = pending.unit, self.unanswered_bits(pending.unit)
         is_known = unit in self.answering or state.is_repeat
         if self.trusts_silences or is_known or pending.pdu[0] not in ECHOING:
             return bits
         return bits + costs.SILENT_UNIT if self.answering else bits
+
+    def unanswered_bits(self, unit: int) -> float:
+        """The cost, in bits, of supposing that a unit answers that left the last requests of it
+        unanswered.
+        """
+        unanswered = self.unanswered.get(unit, 0)
+        return log2(1 + unanswered) if unanswered else 0.0
 
     def learn_request(
         self, state: BusState, unit: int, pdu: bytes, by_form: bool, start_ns: int

@@ -83,12 +83,13 @@ def with_confidence(ends: list[Path]) -> Iterator[Segment]:
     A frame has less confidence if it is missing in a path that costs little more.
     """
     best = list(_chain(ends[0]))
+    known = {id(one) for one in best}
     doubts: dict[int, float] = {}
     for path in best:
         for rival in path.rivals if path is not ends[0] else (*path.rivals, *ends[1:]):
             more = rival.cost - path.cost
             if more < DOUBT_BITS:
-                for offset in _differences(best, path, rival):
+                for offset in _differences(known, path, rival):
                     doubts[offset] = min(doubts.get(offset, 1.0), confidence_of(more))
     for path in reversed(best):
         segment = path.segment
@@ -126,8 +127,8 @@ def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segme
     cheapest first. All bytes behind the returned segments, up to the offset `end`, become one
     incomplete segment.
     """
-    other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
-    segments = with_confidence([incomplete, *ends])
+    other = {one.identity for one in merge_skipped(with_confidence(ends))} if ends else set()
+    segments = merge_skipped(with_confidence([incomplete, *ends]))
     settled = list(takewhile(lambda segment: segment.identity in other, segments))
     while settled and settled[-1].kind is SegmentKind.SKIPPED:
         settled.pop()  # More skipped bytes may follow.
@@ -135,13 +136,12 @@ def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segme
     return [*settled, Segment(SegmentKind.INCOMPLETE, offset, end - offset)]
 
 
-def _differences(best: list[Path], path: Path, rival: Path) -> list[int]:
+def _differences(known: set[int], path: Path, rival: Path) -> list[int]:
     """Return the offsets of the segments that `path` contains and its `rival` does not.
 
-    `best` are the cheapest path and all paths before it, `path` among them. The beginning that
-    `path` and `rival` have in common is left out.
+    `known` are the ids of the cheapest path and all paths before it, `path` among them. The
+    beginning that `path` and `rival` have in common is left out.
     """
-    known = {id(one) for one in best}
     others = set()
     for other in _chain(rival):
         if id(other) in known:

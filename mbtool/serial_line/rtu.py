@@ -47,10 +47,19 @@ from mbtool.modbus.adu import (
     Verdict,
     crc,
 )
-from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
+from mbtool.modbus.functions import ECHOING, NEVER_ECHOED, WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
-from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
+from mbtool.serial_line.bus_model import (
+    CERTAIN_BY,
+    ROLES,
+    SURE,
+    UNSURE,
+    BusModel,
+    Classification,
+    roles_of,
+)
+from mbtool.serial_line.bus_state import NO_RIVAL_CONFIDENCE
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
 from mbtool.serial_line.frame_copies import FrameCopies
@@ -75,8 +84,12 @@ MAX_SILENCES = 16
 they may end with an incomplete frame. A frame of 256 bytes that comes in pieces of 32 bytes has 8
 silences."""
 
-UNSURE = 0.79
-"""The confidence (0.5 to 1) of a frame that is found ambiguous is lowered to this, below `SURE`."""
+USUAL_ECHO = 6
+"""The response to 0FH or 10H repeats so many bytes: unit, function, address and quantity."""
+
+LONG_DOUBT = 48
+"""If so many more frames were in doubt than not, searches become narrow: on so unclear a line, more
+explanations of the bytes cost time and decide little."""
 
 LONG_NOISE = 2 * WINDOW
 """After this many bytes without a frame, the search runs only if the buffer has a frame with a
@@ -135,6 +148,11 @@ class RtuSplitter:
         """The number of silences of t3.5 since bytes were last returned."""
         self._silences_at: list[int] = []
         """The offsets of the buffered bytes that have a silence of t3.5 before them."""
+        self._doubtful = 0
+        """One more for each frame in doubt, one less for each other frame."""
+        self._is_lost = False
+        """True if a narrow search was in doubt about a frame and none certain by its form followed:
+        then all frames are in doubt, as only one bus state is kept."""
         self._noise_size = 0
         """The number of bytes returned since the last frame; they belong to no frame."""
         self._was_noise = False
@@ -222,6 +240,8 @@ class RtuSplitter:
 
     def _hear_silence(self, events: list[Adu | Skipped], silence_ns: int) -> None:
         """Decide what the buffered bytes are; an incomplete frame waits if the silence is short."""
+        if self._is_first_alone() and silence_ns < HOLD_NS:
+            return
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -234,6 +254,15 @@ class RtuSplitter:
         is_long = silence_ns >= HOLD_NS and self._data
         if is_long and (silence_ns >= HOLD_DUE_NS or not self._begins_due_frame()):
             self._end_burst(events, may_continue=False)
+
+    def _is_first_alone(self) -> bool:
+        """True if the buffered bytes are the first frame of the capture, and its form allows both
+        directions.
+        """
+        data = self._data
+        if self._last_end is not None or self._speaker is not None or len(data) < MIN_FRAME:
+            return False
+        return data[0] > 0 and crc(data) == 0 and len(roles_of(data[1:-2])) > 1
 
     def _begins_due_frame(self) -> bool:
         """True if the buffered bytes are certainly the beginning of the frame that is due."""
@@ -286,6 +315,7 @@ class RtuSplitter:
                 self._emit_skipped(behind.skipped, events)
                 frame = behind.frame
             self._emit_frame(*frame, events)
+            self._count_doubt(is_clear=True)
 
     def _frame_behind_noise(self, burst_over: bool) -> _BehindNoise | None:
         """Find a certain frame that follows the last one closely, with stray bytes between the two.
@@ -388,7 +418,8 @@ class RtuSplitter:
             may_continue=may_continue,
             must_decide=must_decide,
         )
-        search = PathSearch(window, self._model, self._statistics, self._roles)
+        is_narrow = self._doubtful > LONG_DOUBT
+        search = PathSearch(window, self._model, self._statistics, self._roles, is_narrow=is_narrow)
         segments = search.segments()
         decided = max(end - keep, search.settled_size)
         history = self._model.history
@@ -403,7 +434,13 @@ class RtuSplitter:
             if segment.kind is SegmentKind.INCOMPLETE or not 0 < size <= decidable:
                 return False
             if segment.kind is SegmentKind.FRAME:
-                self._emit_frame(size, self._classified(segment), events)
+                classified = self._classified(segment)
+                is_clear = classified.confidence >= NO_RIVAL_CONFIDENCE
+                self._count_doubt(is_clear=is_clear)
+                if is_narrow:
+                    self._is_lost |= not is_clear
+                    classified = replace(classified, is_final=True)
+                self._emit_frame(size, classified, events)
                 if self._take_copy(events) or self._take_repeated(events):
                     # The search took the copy for a frame, so its later segments are wrong.
                     return True
@@ -413,6 +450,11 @@ class RtuSplitter:
                 if size >= LONG_SKIP:
                     self._hear_damage(segment, start_ns, end_ns)
         return True
+
+    def _count_doubt(self, *, is_clear: bool) -> None:
+        """Count one more frame, beyond doubt or not."""
+        doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
+        self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
         """Learn from skipped or damaged bytes, and compute the possible bus states after them."""
@@ -449,17 +491,34 @@ class RtuSplitter:
         is_even = end_ns - start_ns == size * self._character_ns
         longest_ns = 0 if is_even else longest_silence_ns(times, size, self._character_ns)
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
+        self._is_lost &= classification.by not in CERTAIN_BY
+        if self._is_lost or self._is_first_alone():
+            confidence = min(confidence, UNSURE)
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            if (
-                model.history.may_hear_only_slaves
-                or model.may_be_reversed(start_ns)
-                or model.may_be_retry(unit, pdu)
-            ):
+            if model.history.may_hear_only_slaves or model.may_be_retry(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
+            if model.may_be_reversed(start_ns):  # Nothing is learned from such a frame.
+                confidence = min(confidence, UNSURE)
+                classification = replace(classification, confidence=confidence, is_final=True)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
                 classification = replace(classification, confidence=confidence)
+            waited_ns = before_ns or 0
+            if (
+                self._copies.copied
+                and not model.history.hears_wait(waited_ns)
+                and self._copies.may_copy_retry(raw, self._data[size:])
+            ):
+                confidence = min(confidence, UNSURE)
+        if (
+            pdu[0] in WRITE_SEVERAL
+            and self._speaker is None
+            and classification.direction is Direction.REQUEST
+            and self._model.may_be_whole_echo(unit, pdu, start_ns)
+            and not self._data.startswith(raw[:USUAL_ECHO], size)
+        ):
+            confidence = min(confidence, UNSURE)
         if self._copies.copies and self._copies.may_copy(raw, self._data[size:]):
             confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
@@ -473,7 +532,10 @@ class RtuSplitter:
                 is_soon = copies.last == raw and self._is_soon(before_ns)
                 copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                self._copies.hear_response(raw, is_certain=pdu[0] not in ECHOING)
+                # Where only slaves are heard, equal responses are no copies of a repeater.
+                is_only = self._model.history.hears_only_slaves
+                is_certain = pdu[0] not in ECHOING and not is_only
+                self._copies.hear_response(raw, is_certain=is_certain)
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
@@ -520,6 +582,7 @@ class RtuSplitter:
                     bursts.hear_frame(before_ns, size, cut, is_glued=is_glued)
                 is_trusted = glue.frequency <= MAX_GLUED and not bursts.may_merge_retry
                 self._model.history.trusts_silences = is_trusted
+                self._model.history.merges_briefly = bursts.merges_briefly
             if is_split or not statistics.split.is_at_rest:
                 statistics.split.learn(is_split)
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME
 from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU
-from mbtool.modbus.functions import WRITE_SEVERAL
+from mbtool.modbus.functions import EXCEPTION_BIT, WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
 from mbtool.serial_line.bus_state import DOUBT_BITS, BusState
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 BEAM_WIDTH = 4
 """The most paths (explanations of the bytes so far) kept at an offset. They differ in their bus
 state, or one ends with a skipped byte and another does not."""
+NARROW_MARGIN = 8.0
+"""A narrow search drops a path that costs this many bits more than the best one."""
 MIN_HEAD = 3
 """The bytes of a response before its registers: unit, function and byte count. Fewer skipped bytes
 cannot be the beginning of a damaged response."""
@@ -61,11 +63,14 @@ class PathSearch:
         bus_model: BusModel,
         statistics: LineStatistics,
         roles: tuple[Direction, ...] = ROLES,
+        *,
+        is_narrow: bool = False,
     ) -> None:
         """`roles` are the directions that frames can have.
 
         There is only one if the tap hears only the master or only the slaves. Then costs do not
-        depend on the bus state.
+        depend on the bus state. A narrow search begins with the most likely bus state, and keeps
+        one path at each offset. What a dropped path contradicts is doubtful.
         """
         self._window = window
         self._data = window.data
@@ -87,6 +92,8 @@ class PathSearch:
         this many bits or more; infinite until such a path is found."""
         self._limit = float("inf")
         """Paths (explanations of the bytes so far) that cost more bits than this are dropped."""
+        self._is_narrow = is_narrow
+        self._margin = NARROW_MARGIN if is_narrow else costs.BEAM_MARGIN
         self._candidates = Candidates(window, bus_model, statistics, roles)
         self.settled_size = 0
         """The number of bytes, up to the end of a frame, that all paths explain in the same way.
@@ -124,7 +131,7 @@ class PathSearch:
         first = Path(0.0, self._model.state, None, None, skipped, ends_frame=not skipped)
         self._paths[0] = [first]
         self._lowest_costs[0] = 0.0
-        for bits, state in self._model.states[1:]:
+        for bits, state in () if self._is_narrow else self._model.states[1:]:
             self._paths[0].append(Path(bits, state, first, None, skipped, ends_frame=not skipped))
         for offset in range(self._end):
             paths = self._paths.pop(offset, None)
@@ -132,8 +139,8 @@ class PathSearch:
                 ends = [end for end in self._paths if end <= offset + MAX_RTU_ADU]
                 ahead = min((self._lowest_costs[end] for end in ends), default=float("inf"))
                 beside = self._incomplete_limit + costs.INCOMPLETE_MARGIN
-                self._limit = min(ahead + costs.BEAM_MARGIN, beside)
-                limit = min(self._limit, self._lowest_costs[offset] + costs.BEAM_MARGIN)
+                self._limit = min(ahead + self._margin, beside)
+                limit = min(self._limit, self._lowest_costs[offset] + self._margin)
                 paths = [path for path in paths if path.cost <= limit]
                 if len(paths) == 1 and not self._paths and self._is_settled(paths[0]):
                     return paths[0]
@@ -202,11 +209,19 @@ class PathSearch:
                 break
         else:
             paths.append(path)
-            if len(paths) > BEAM_WIDTH:
-                paths.remove(max(paths, key=lambda one: one.cost))
+            if len(paths) > (1 if self._is_narrow else BEAM_WIDTH):
+                self._drop(max(paths, key=lambda one: one.cost), paths)
         if path.cost < self._lowest_costs[offset]:
             self._lowest_costs[offset] = path.cost
-            self._limit = min(self._limit, path.cost + costs.BEAM_MARGIN)
+            self._limit = min(self._limit, path.cost + self._margin)
+
+    def _drop(self, worst: Path, paths: list[Path]) -> None:
+        """Remove the path that costs most; in a narrow search, it stays a rival of the best one."""
+        paths.remove(worst)
+        if self._is_narrow:
+            best = min(paths, key=lambda one: one.cost)
+            if worst.cost - best.cost < DOUBT_BITS:
+                best.rivals = (*best.rivals, worst)
 
     def _extend(self, offset: int, paths: list[Path]) -> None:
         """Extend paths that end at an offset by each segment that may begin there."""
@@ -231,7 +246,7 @@ class PathSearch:
             if path in likely:
                 for frame in unknown:
                     self._add_frame(offset, path, state, frame, start_cost)
-            if silent or not path.skipped:
+            if not unknown and (silent or not path.skipped):
                 self._add_damaged(offset, path, state, start_cost, is_frame=bool(frames))
             self._add_incomplete(offset, path, state, start_cost, is_frame=bool(frames or unknown))
             self._add_skipped(offset, path, bool(frames), bool(unknown))
@@ -331,10 +346,13 @@ class PathSearch:
         cost += before
         if is_frame:
             cost += costs.INCOMPLETE_DUE_OVER_FRAME if expected else costs.INCOMPLETE_OVER_FRAME
+        if path.skipped and not path.is_noise and not is_likely:
+            return  # To skip these bytes, too, costs less.
         is_zero = size == 1 and self._data[offset] == 0  # Noise, or the end of the frame before.
         if is_likely and not is_zero:
             cost += costs.INCOMPLETE_IN_PLACE
-            if cost >= self._incomplete_limit:
+            is_full = not self._window.silences[self._end]
+            if cost > self._limit if is_full else cost >= self._incomplete_limit:
                 return
             cost += self._candidates.inside_cost(offset, size, known=expected)
         else:
@@ -385,7 +403,8 @@ class PathSearch:
             self._keep(end, Path(cost, ignored, path, segment, runs=path.runs))
 
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
-        """Extend a path by one byte that belongs to no frame.
+        """Extend a path by a byte that belongs to no frame, and by those behind it that can begin
+        no frame either, unless the byte is noise.
 
         `is_frame` is True if a frame with a correct CRC whose function tells its size also begins
         with this byte, `is_unknown` if one whose function does not tell its size does.
@@ -406,7 +425,24 @@ class PathSearch:
         total = path.cost + cost
         if total > self._limit:
             return
-        segment = Segment(SegmentKind.SKIPPED, offset, 1)
+        end = offset + 1
+        if not is_noise:
+            end = self._next_place(end, path.state)
+            total += (end - offset - 1) * costs.SKIP_PER_BYTE
+        segment = Segment(SegmentKind.SKIPPED, offset, end - offset)
         runs = path.runs + (not continues)
-        skipped = path.skipped + 1
-        self._keep(offset + 1, Path(total, path.state, path, segment, skipped, is_noise, runs))
+        skipped = path.skipped + end - offset
+        self._keep(end, Path(total, path.state, path, segment, skipped, is_noise, runs))
+
+    def _next_place(self, offset: int, state: BusState) -> int:
+        """Return the first offset, from `offset` on, at which a path that skips bytes other than
+        noise can go on in another way, or meets another path.
+        """
+        place = min((end for end in self._paths if end >= offset), default=self._end)
+        place = min(place, self._candidates.next_place(offset))
+        pending = state.pending
+        if pending is not None:
+            for code in (pending.pdu[0], pending.pdu[0] | EXCEPTION_BIT):
+                named = self._data.find(bytes((pending.unit, code)), offset, place + 1)
+                place = named if named >= 0 else place
+        return place

@@ -74,11 +74,20 @@ LEAST_BYTES = 4
 MASTER = "master"
 """The name of the master of a connection in a log, which seldom tells its address."""
 
-_MAY_BE_BYTES = re.compile(
+MAY_BE_BYTES = re.compile(
     rb"00[ ,:|;\t_-]{1,2}00(?![0-9A-Za-z])|0[xX]0|0{8}|[\[<]00[\]>]|\\[x0]|00[hH][ ,]"
     rb"|0{2,}0(?: 0000)|\(0+, \"|[ 0]000#00|0{4} \| 00|00\.00\.00\.00|(?:0{1,3}(?:,\s?|-)){3}"
     rb"|(?:[:=>\]]\s{0,2}|^\s*)00(?:\s{3,}\S{1,3})?\s*$"
 )
+_DATED = re.compile(rb"\[?\d{4}[-/.]\d\d[-/.]\d\d[ T_,]\d\d:\d\d:\d\d(?:[.,:]\d{1,9})?")
+"""A time at the front of a line, which is not searched for bytes."""
+_SEPARATORS = bytes.maketrans(b",:|;\t_-.\r\f\vXH<", b" " * 11 + b"xh[")
+_HINTS = (b"00 00", b"0x0", b"00000000", b"00  00", b"[00", b"\\", b"00h", b"00   00", b'0  "',
+          b"0#00")  # fmt: skip
+"""Where MAY_BE_BYTES is found, one of these is, too, once _SEPARATORS has translated the line; or
+the line ends with a byte, or has several commas or dashes. Looking for them is quick."""
+_BEFORE_LAST = b":=>]"
+"""A single byte at the end of a line is at its front, or behind one of these."""
 _UNIMPORTANT = re.compile(rb"[0\s]+")
 _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
 _ESCAPE = b"\x1b"
@@ -98,6 +107,19 @@ class _Plan(NamedTuple):
     places: tuple[_BytesPlace, ...]
 
 
+_UNKNOWN = _Plan(None, ())
+"""Stands for the plan of a shape that was not seen before."""
+
+
+class _Before(NamedTuple):
+    """What lines of one shape tell of the bytes in the lines behind them."""
+
+    has_bytes: bool
+    """True if they have bytes enough for a frame, so that their mark is of these."""
+    mark: Mark | None
+    time: Time | None
+
+
 class TextLog:
     """Reads the frames of one text file."""
 
@@ -109,7 +131,10 @@ class TextLog:
         self._connection = Connection(Endpoint(MASTER, 0), Endpoint(link, MODBUS_PORT))
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
-        self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
+        self._befores: dict[bytes, _Before] = {}
+        """What lines of each shape tell of lines behind them."""
+        self._recent: deque[tuple[bytes, bytes]] = deque(maxlen=LOOK_BACK)
+        """The last lines, and their shapes."""
         self._last_row: tuple[int, Label] | None = None
         """The number and the label of the last row of a dump."""
         self._last_mark: tuple[int, Mark | None] = 0, None
@@ -171,13 +196,12 @@ class TextLog:
             shapes = b"\n".join(lines).translate(SHAPE).split(b"\n")
             for line, shape in zip(lines, shapes, strict=True):
                 self.lines += 1
-                try:
-                    plan = self._plans[shape]
-                except KeyError:
-                    plan = self._planned(line, shape)
+                plan = self._plans.get(shape, _UNKNOWN)
+                if plan is _UNKNOWN:
+                    plan = self._planned(line, shape) if may_be_bytes(line, shape) else None
                 if plan is not None:
                     yield from self._read(line, plan)
-                self._recent.append(line)
+                self._recent.append((line, shape))
         yield from self._frames.close()
 
     def _blocks(self) -> Iterator[list[bytes]]:
@@ -210,10 +234,7 @@ class TextLog:
         """Find what to read in lines of this shape; None if there is nothing."""
         if len(self._plans) >= MAX_SHAPES:
             self._plans.clear()
-        plan = None
-        if _MAY_BE_BYTES.search(shape) is not None:
-            plan = _plan(line, shape)
-        self._plans[shape] = plan
+        plan = self._plans[shape] = _plan(line, shape)
         return plan
 
     def _read(self, line: bytes, plan: _Plan) -> list[TextFrame]:
@@ -261,13 +282,17 @@ class TextLog:
         """Return the label and the time, each from the lines before if the line has none."""
         mark: Mark | None = label.mark
         row = self.lines
-        for line in reversed(self._recent):
+        for line, shape in reversed(self._recent):
             row -= 1
-            is_of_bytes = _has_bytes(self._plans.get(line.translate(SHAPE)))
-            if mark is None and not is_of_bytes:
-                mark = find_mark(line, is_strong=True)
-            if ts_ns is None and (time := find_time(line)) is not None:
-                ts_ns = self._ns(time, line)
+            before = self._befores.get(shape)
+            if before is None:
+                if len(self._befores) >= MAX_SHAPES:
+                    self._befores.clear()
+                before = self._befores[shape] = _before(line, self._plans.get(shape))
+            is_of_bytes = before.has_bytes
+            mark = mark or before.mark
+            if ts_ns is None and before.time is not None:
+                ts_ns = self._ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines are of one object that has several.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -330,11 +355,12 @@ class TextLog:
         )
 
 
-def _has_bytes(plan: _Plan | None) -> bool:
-    """True if lines of this plan have bytes enough for a frame, so that their mark is of these."""
-    return plan is not None and any(
+def _before(line: bytes, plan: _Plan | None) -> _Before:
+    has_bytes = plan is not None and any(
         one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
     )
+    mark = None if has_bytes else find_mark(line, is_strong=True)
+    return _Before(has_bytes, mark, find_time(line))
 
 
 def _cleaned(lines: list[bytes]) -> list[bytes]:
@@ -342,6 +368,23 @@ def _cleaned(lines: list[bytes]) -> list[bytes]:
         _COLOURS.sub(b"", line.rstrip(b"\r")) if _ESCAPE in line else line.rstrip(b"\r")
         for line in lines
     ]
+
+
+def may_be_bytes(line: bytes, shape: bytes) -> bool:
+    """True if bytes may be written behind the time at the front of a line."""
+    front = _DATED.match(line)
+    start = 0 if front is None else front.end()
+    rest = shape[start:]
+    spaced = rest.translate(_SEPARATORS)
+    for hint in _HINTS:
+        if hint in spaced:
+            break
+    else:
+        if rest.count(b",") + rest.count(b"-") < 3 and b"00   " not in spaced:
+            *before, last = (b"", *rest.rsplit(None, 1))
+            if last[-2:] != b"00" or (last[:-2] or before[-1])[-1:] not in _BEFORE_LAST:
+                return False
+    return MAY_BE_BYTES.search(shape, start) is not None
 
 
 def _plan(line: bytes, shape: bytes) -> _Plan | None:

@@ -1,50 +1,86 @@
-"""Keeps the first failed requests of each unit, as evidence for its troubles."""
+"""Keeps single transactions and events as evidence for what the account's figures show."""
 
-# Memory: MAX_EVIDENCE cases for each kind of failure of at most MAX_UNITS units.
+# Memory: MAX_EVIDENCE cases for each kind of failure of at most MAX_UNITS units; SLOWEST answers of
+# each of at most MAX_POLLS polls; MAX_EVIDENCE damaged frames of each of at most MAX_LINKS links;
+# an opened connection of each of at most MAX_LINKS masters of links.
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from heapq import heappush, heapreplace, nlargest
+from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import CONNECTION_OPENED, EventKind
+from mbtool.core.wording import duration, host_of
+from mbtool.ledger.account import MAX_POLLS
+from mbtool.ledger.poll_statistics import PollKey, poll_key
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import Sense
+from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
+SLOW_NS = 10_000_000
+"""Of quicker answers (ns) none is kept."""
+SLOWEST = 20
 _OUTCOMES = {
     "UNIT-SILENT": Outcome.NO_ANSWER,
     "UNIT-BAD-CRC": Outcome.NO_ANSWER,
     "UNIT-MISSING": Outcome.NO_ANSWER,
     "UNIT-MALFORMED": Outcome.MALFORMED,
     "UNIT-REFUSES": Outcome.EXCEPTION,
+    "NET-SCANNED": Outcome.EXCEPTION,
+    "NET-ONE-SIDE": Outcome.NOT_CAPTURED,
 }
 _FAILED = frozenset(_OUTCOMES.values())
 
 
-class FailedCases(Sense):
-    """Collects failed requests; finds no trouble by itself."""
+class _SlowAnswer(NamedTuple):
+    latency_ns: int
+    negative_ns: int
+    """The time of the request (UTC ns) with a minus."""
+    number: int
+    """A number of its own, so that two are never compared by their evidence."""
+    evidence: Evidence
+
+
+class Cases(Sense):
+    """Collects failed requests, slow answers, damaged frames and opened connections; finds no
+    trouble by itself.
+    """
 
     def __init__(self) -> None:
-        self._cases: dict[tuple[str, int, Outcome], list[Evidence]] = {}
+        self._failed: dict[tuple[str, int, Outcome], list[Evidence]] = {}
+        self._slow: dict[PollKey, list[_SlowAnswer]] = {}
+        """By poll, a heap of its slowest answers. Of equally slow ones the first are kept."""
+        self._number = 0
+        """How many slow answers were kept so far."""
+        self._damaged: dict[str, list[Evidence]] = {}
+        self._opened: dict[tuple[str, str], Evidence] = {}
+        """By link and the master's host, the first connection that was opened."""
 
     def transaction(self, one: NamedTransaction) -> None:
+        latency_ns = one.latency_ns
+        if latency_ns is not None and latency_ns >= SLOW_NS and one.request_ns is not None:
+            heap = self._heap(one)
+            if _has_place(heap, latency_ns, one.request_ns):
+                self._put(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
         if one.outcome in _FAILED:
             cases = self._cases_of(one)
             if cases is not None:
                 cases.append(Evidence.of(one))
 
-    def run(self, run: AnsweredRun) -> None:
-        failed = [kind for kind in run.kinds if kind.like.outcome in _FAILED]
-        if not failed:
+    def _note_failed(self, run: AnsweredRun) -> None:
+        """Note the first failed requests of each unit in a batch, in the order of the responses."""
+        if not any(kind.like.outcome in _FAILED for kind in run.kinds):
             return
-        # The first cases of each unit are kept, in the order of the responses.
         indices = [0] * len(run.kinds)
         for number in run.kind:
             kind = run.kinds[number]
@@ -61,19 +97,111 @@ class FailedCases(Sense):
     def _cases_of(self, one: NamedTransaction) -> list[Evidence] | None:
         """Return the cases like this transaction; None if there is no room for one more."""
         key = one.link, one.unit, one.outcome
-        cases = self._cases.get(key)
+        cases = self._failed.get(key)
         if cases is None:
-            if len(self._cases) >= MAX_UNITS:
+            if len(self._failed) >= MAX_UNITS:
                 return None
-            cases = self._cases[key] = []
+            cases = self._failed[key] = []
         return cases if len(cases) < MAX_EVIDENCE else None
 
-    def proved(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
-        """Yield the troubles of units with their cases as evidence."""
-        for one in troubles:
-            outcome = _OUTCOMES.get(one.code)
-            if outcome is None or one.unit is None:
-                yield one
+    def run(self, run: AnsweredRun) -> None:
+        self._note_failed(run)
+        for counts in run.connections:
+            if counts.first_opened_ns is not None:
+                self._note_opened((counts.link, counts.host), counts.first_opened_ns)
+        for kind in run.kinds:
+            latencies, like = kind.latencies, kind.like
+            if max(latencies) < SLOW_NS:
                 continue
-            cases = self._cases.get((one.link, one.unit, outcome), [])
-            yield replace(one, evidence=tuple(sorted(cases, key=lambda case: case.ts_ns)))
+            heap = self._heap(like)
+            for at in nlargest(SLOWEST, range(len(latencies)), key=latencies.__getitem__):
+                latency_ns, at_ns = latencies[at], kind.request_ns[at]
+                if latency_ns < SLOW_NS or not _has_place(heap, latency_ns, at_ns):
+                    break
+                text, packets = _took(latency_ns), kind.packets(at)
+                evidence = Evidence(ts_ns=at_ns, text=text, file=like.file, packets=packets)
+                self._put(heap, latency_ns, evidence)
+
+    def event(self, event: WireEvent) -> None:
+        if event.kind is EventKind.OPENED and event.message == CONNECTION_OPENED:
+            self._note_opened((event.link, host_of(event.source)), event.ts_ns)
+        elif event.kind is EventKind.BAD_CHECK:
+            cases = self._damaged.get(event.link)
+            if cases is None:
+                if len(self._damaged) >= MAX_LINKS:
+                    return
+                cases = self._damaged[event.link] = []
+            if len(cases) < MAX_EVIDENCE:
+                cases.append(Evidence.of_event(event))
+
+    def _note_opened(self, key: tuple[str, str], at_ns: int) -> None:
+        if key not in self._opened and len(self._opened) < MAX_LINKS:
+            self._opened[key] = Evidence(
+                ts_ns=at_ns, text=f"{CONNECTION_OPENED}, the first of them"
+            )
+
+    def _heap(self, one: NamedTransaction) -> list[_SlowAnswer]:
+        """Return the slowest answers of a transaction's poll."""
+        key = poll_key(one, host_of(one.source))
+        heap = self._slow.get(key)
+        if heap is None:
+            heap = []
+            if len(self._slow) < MAX_POLLS:
+                self._slow[key] = heap
+        return heap
+
+    def _put(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
+        self._number += 1
+        case = _SlowAnswer(latency_ns, -evidence.ts_ns, self._number, evidence)
+        if len(heap) < SLOWEST:
+            heappush(heap, case)
+        else:
+            heapreplace(heap, case)
+
+    def slowest(
+        self, polls: Iterable[PollStatistics], least_ns: int = 0, since_ns: int = 0
+    ) -> tuple[Evidence, ...]:
+        """Return the slowest answers of some polls that took at least `least_ns`, of requests since
+        `since_ns` (UTC ns), in the order of time.
+        """
+        found = [
+            one.evidence
+            for poll in polls
+            for one in self._slow.get(poll.key, ())
+            if one.latency_ns >= least_ns and one.evidence.ts_ns >= since_ns
+        ]
+        return _first(found)
+
+    def proved(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
+        """Yield the troubles; those that only figures show get their cases as evidence."""
+        for one in troubles:
+            found: Iterable[Evidence] = one.evidence
+            outcome = _OUTCOMES.get(one.code)
+            if outcome is not None:
+                found = (
+                    case
+                    for (link, unit, kind), cases in self._failed.items()
+                    if kind is outcome and link == one.link and one.unit in (None, unit)
+                    for case in cases
+                )
+            elif one.code == "LINE-STRAY":
+                found = self._damaged.get(one.link, ())
+            elif one.code == "NET-SHORT":
+                found = (
+                    case
+                    for (link, host), case in self._opened.items()
+                    if link == one.link and (one.master == host or one.master == "masters")
+                )
+            yield one if found is one.evidence else replace(one, evidence=_first(found))
+
+
+def _first(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
+    return tuple(sorted(cases, key=lambda one: one.ts_ns)[:MAX_EVIDENCE])
+
+
+def _took(latency_ns: int) -> str:
+    return f"answered after {duration(latency_ns)}"
+
+
+def _has_place(heap: list[_SlowAnswer], latency_ns: int, at_ns: int) -> bool:
+    return len(heap) < SLOWEST or (latency_ns, -at_ns) > heap[0][:2]

@@ -23,13 +23,14 @@ from mbtool.ledger.request_tally import merged
 from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
-from mbtool.troubles.cases import FailedCases
+from mbtool.troubles.cases import Cases
 from mbtool.troubles.failure_limits import is_grave
 from mbtool.troubles.line_senses import line_senses
 from mbtool.troubles.network_senses import network_senses
 from mbtool.troubles.polling import polling_troubles
-from mbtool.troubles.trouble import MAX_OTHERS, Trouble
+from mbtool.troubles.trouble import MAX_OTHERS, Sureness, Trouble
 from mbtool.troubles.units import unit_troubles
+from mbtool.troubles.value_faults import ValueFaults
 from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.account import Account
+    from mbtool.ledger.answered_reads import AnsweredReads
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
@@ -52,6 +54,12 @@ ENOUGH = 20
 MOSTLY = 0.5
 """A trouble of a unit, or a small one, explains another one if it has at least this share of its
 cases."""
+PIECES = 4
+"""Bytes that are no frame come in at most so many pieces a case, as adapters tear them."""
+CHANCE = 1e-6
+"""What damages a share of all frames explains a unit that never answers only if it would damage all
+of that unit's answers more often than this."""
+_BYTES = frozenset(("RTU-201", "RTU-202"))
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
@@ -132,11 +140,12 @@ class Judge:
         """Sentences for the user that are no findings; those of a capture are there when it
         ended."""
         self._context = context or CaptureContext()
-        self._cases = FailedCases()
-        of_lines, of_networks = line_senses(self._context), network_senses(self._context)
-        self._of_lines = (self._cases, *of_lines)
+        self._cases = Cases()
+        self._values = ValueFaults(self._context.assignments)
+        of_lines, of_networks = line_senses(self._context), network_senses(self._cases)
+        self._of_lines = (self._cases, self._values, *of_lines)
         """The senses that take the transactions of serial lines."""
-        self._of_networks = (self._cases, *of_networks)
+        self._of_networks = (self._cases, self._values, *of_networks)
         self._senses = (*self._of_lines, *of_networks)
         self._checker: Checker | None = None
         """The rules, with what they remember of the present capture; None outside of a capture."""
@@ -179,10 +188,11 @@ class Judge:
             for sense in self._of_lines if record.transport.is_serial else self._of_networks:
                 sense.transaction(record)
 
-    def count_run(self, run: AnsweredRun) -> None:
-        """Count many answered requests of a network together."""
+    def count_run(self, run: AnsweredRun, reads: Sequence[AnsweredReads] = ()) -> None:
+        """Count many answered requests of a network together. `reads` has their values."""
         for sense in self._senses:
             sense.run(run)
+        self._values.reads(reads)
         self.ledger.add_run(run)
 
     def check(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
@@ -212,12 +222,14 @@ class Judge:
         """Judge all records so far. `links` is the account of each link, if the caller has it."""
         links = report(self.ledger) if links is None else links
         found = [trouble for sense in self._senses for trouble in sense.troubles(links)]
-        found += self._cases.proved(unit_troubles(links))
-        found += polling_troubles(links)
+        found += unit_troubles(links, self._cases)
+        found += polling_troubles(links, self._cases)
         found += _stray_frames(links)
         found += rule_troubles(self.findings)
         several = len(links) > 1
-        named = [replace(one, names_link=several) for one in _unexplained(found)]
+        named = [
+            replace(one, names_link=several) for one in self._cases.proved(_unexplained(found))
+        ]
         return Judgement(_in_order(_joined(named)), links)
 
 
@@ -244,28 +256,43 @@ def _stray_frames(links: Sequence[LinkReport]) -> Iterator[Trouble]:
             )
 
 
-def _unexplained(found: Sequence[Trouble]) -> Iterator[Trouble]:
-    """Yield the troubles that no other trouble is the cause of."""
+def _unexplained(found: Sequence[Trouble]) -> list[Trouble]:
+    """Return the troubles that no other trouble is the cause of.
+
+    What is only possible goes first, so that it explains nothing that has another cause.
+    """
+    possible = [one for one in found if one.sureness is Sureness.POSSIBLE]
+    gone = {id(one) for one in possible if any(_explains(cause, one) for cause in found)}
+    found = [one for one in found if id(one) not in gone]
     causes: dict[str, list[Trouble]] = {}
     for one in found:
         if one.words.explains:
             causes.setdefault(one.link, []).append(one)
-    for one in found:
-        of_link = causes.get(one.link, ())
-        if not any(_explains(cause, one) for cause in of_link if cause is not one):
-            yield one
+    return [
+        one
+        for one in found
+        if not any(cause is not one and _explains(cause, one) for cause in causes.get(one.link, ()))
+    ]
 
 
 def _explains(cause: Trouble, other: Trouble) -> bool:
-    if other.code not in cause.words.explains or cause.link != other.link:
+    if cause.link != other.link:
+        return False
+    if cause.code == "LINE-SAME-UNIT" and other.code == "LINE-LATE":
+        # Answers that collide behind the request of a dead unit are not its late ones.
+        return other.sureness is Sureness.POSSIBLE
+    if other.code not in cause.words.explains:
         return False
     if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
+        if other.code == "UNIT-SILENT" and cause.of:
+            return (cause.count / cause.of) ** other.count >= CHANCE
         return not cause.is_small or cause.count >= MOSTLY * other.count
-    is_of_line = other.unit is None or other.words.noun == "line"
+    is_of_line = other.unit is None or other.words.noun == "line" or other.code.startswith("RTU")
     is_of_unit = is_of_line or other.unit == cause.unit
-    return is_of_unit and cause.count >= MOSTLY * other.count
+    share = 1 / PIECES if other.code in _BYTES else MOSTLY
+    return is_of_unit and cause.count >= share * other.count
 
 
 def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:

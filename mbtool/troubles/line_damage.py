@@ -14,7 +14,7 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   nothing on the line in between, and sooner than by the time-out that requests
 #                   without an answer usually wait for: no master does that. Or the decoder says
 #                   so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one master can
-#                   keep two lists.
+#                   keep two lists. Where two masters are proved, they tell which one asks what.
 # LINE-SAME-UNIT    Two slaves answer one request. Nearly all damage of the line is in the unit's
 #                   answers or right behind them, at most of its answers, while other units answer
 #                   well; and there are more bytes than asked for, which neither noise nor lost
@@ -42,7 +42,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import counted, percent
+from mbtool.core.wording import counted, duration, percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import crc
@@ -51,9 +51,10 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
-    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.statistics_report import LinkReport, PollReport
 
 ENOUGH = 3
 ENOUGH_MERGED = 2
@@ -79,6 +80,10 @@ LEAST_BYTES = 4
 """Shorter pieces are no frame of anybody."""
 SECOND_NS = 200_000_000
 """A second response to one request comes at most so long (ns) after the first."""
+EVEN = 0.1
+"""Periods of one master's polls differ by at most this share (0 to 1)."""
+ENOUGH_PERIODS = 5
+MOST_NAMED = 4
 HELD = 32
 KNOWN = 64
 POLLED = 2
@@ -105,6 +110,9 @@ class _DamagedUnit:
     """The number of second responses to one request."""
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
+    before: Counter[int] = field(default_factory=Counter)
+    """By unit, how often it was asked right before a request whose answer is damaged or has damaged
+    bytes behind it."""
     in_wakes: int = 0
     """The number of damaged frames after a request to another unit that was not answered in time,
     and whose late answer may have done it."""
@@ -283,6 +291,8 @@ class LineDamage(SortedSense):
         before = line.before
         if before is not None and before.outcome in _NOT_IN_TIME:
             unit.in_wakes += bool(answer)
+        elif before is not None and answer and last.start_ns - before.start_ns <= SECOND_NS:
+            unit.before[before.unit] += 1
         if last.outcome is not Outcome.NO_ANSWER:
             line.elsewhere += len(answer)
             unit.after += len(answer) if last.outcome is Outcome.OK else 0
@@ -318,11 +328,13 @@ class LineDamage(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _of_line(link.name, line)
+                yield from _of_line(link.name, line, link.polls)
 
 
-def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
-    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
+def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
+    doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
+    if not doubles:
+        doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
     is_told = line.is_told and not doubles
@@ -330,6 +342,7 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
+            figures={"polls": _polls_of_two([one.poll for one in polls])},
             sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,
             evidence=tuple(line.masters_cases),
         )  # fmt: skip
@@ -339,8 +352,11 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
         count = max(unit.seconds, unit.damaged, unit.after)
         yield Trouble(
             code="LINE-SAME-UNIT", link=link, unit=number, count=count,
-            of=max(unit.asked, count), weight=count, victims=tuple(line.units),
-            figures={"how": _how_double(unit)},
+            of=max(unit.asked, count), weight=count,
+            victims=tuple(
+                each for each, other in line.units.items() if other.answered or each == number
+            ),
+            figures={"how": _how_double(unit), "other": _other_double(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -368,6 +384,52 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     )
 
 
+def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
+    """Say which of two masters asks what, by the periods of their polls; empty if the polls have
+    not exactly two periods. A period that is a multiple of the other one may be the same master's.
+    """
+    groups: list[tuple[int, list[PollStatistics]]] = []
+    for poll in sorted(polls, key=lambda one: one.period.percentile(50)):
+        period, usual_ns = poll.period, poll.period.percentile(50)
+        near = period.number_from(round((1 - EVEN) * usual_ns))
+        near -= period.number_from(round((1 + EVEN) * usual_ns))
+        if period.count < ENOUGH_PERIODS or near < ALIKE * period.count:
+            continue
+        if groups and usual_ns <= (1 + EVEN) * groups[-1][0]:
+            groups[-1][1].append(poll)
+        else:
+            groups.append((usual_ns, [poll]))
+    if len(groups) != 2:
+        return ""
+    (first_ns, first), (second_ns, second) = groups
+    times = second_ns / first_ns
+    if abs(times - round(times)) <= EVEN * times:
+        return ""
+    both = {one.key.unit for one in first} & {one.key.unit for one in second}
+    return (
+        f"; one asks {_asked_text(first, both)} every {_rounded(first_ns)}, "
+        f"the other {_asked_text(second, both)} every {_rounded(second_ns)}"
+    )
+
+
+def _rounded(ns: int) -> str:
+    """Write a period with two digits, as an adapter makes times coarse."""
+    return duration(round(ns, 2 - len(str(ns))))
+
+
+def _asked_text(polls: Sequence[PollStatistics], both: Collection[int]) -> str:
+    """Name the units that one of two masters asks, with the registers of those that both ask."""
+    in_order = sorted(polls, key=lambda one: (one.key.unit, one.number))
+    names = [
+        f"unit {one.key.unit} ({one.reference})" if one.key.unit in both else f"unit {one.key.unit}"
+        for one in in_order
+    ]
+    different = [*dict.fromkeys(names)]
+    more = len(different) - MOST_NAMED
+    some = different[:MOST_NAMED] + ([f"{more} more"] if more > 0 else [])
+    return " and ".join([", ".join(some[:-1]), some[-1]] if len(some) > 1 else some)
+
+
 def _how_double(unit: _DamagedUnit) -> str:
     """Say what shows that two slaves answer."""
     told = []
@@ -380,10 +442,17 @@ def _how_double(unit: _DamagedUnit) -> str:
     return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
 
 
+def _other_double(unit: _DamagedUnit, count: int) -> str:
+    """Name the unit that is asked right before in most cases, whose second answer may be what
+    collides.
+    """
+    before, number = unit.before.most_common(1)[0] if unit.before else (0, 0)
+    is_likely = unit.seconds < ENOUGH and number >= MOSTLY * count
+    return f", or as unit {before}, which is asked right before it" if is_likely else ""
+
+
 def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
-    """True if two slaves answer to a unit."""
-    if unit.seconds >= ENOUGH:
-        return True
+    """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds
     if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):

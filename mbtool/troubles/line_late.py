@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
-"""Fewer late answers of a unit than this are no trouble."""
+"""Fewer late answers of a unit than this are a note."""
 FEW = 0.01
 """Late answers to a smaller share (0 to 1) of the requests than this are a note."""
 SHORTEST_TIMEOUT_NS = 100_000_000
@@ -237,28 +237,28 @@ def _of_unit(
     if unit.count >= ENOUGH:
         yield _trouble(link, number, unit, tally.requests)
         return
-    if _disturbs(unit, line, is_dead=tally.latency.count < ENOUGH):
+    is_dead = tally.latency.count < ENOUGH
+    if _disturbs(unit, line, is_dead=is_dead):
         wait = _s(median(unit.waits))
         yield Trouble(
             code="LINE-LATE",
             link=link,
             unit=number,
-            count=max(unit.missing, unit.damage),
-            of=tally.requests,
+            count=unit.missing,
+            of=max(tally.requests, unit.missing),
             weight=unit.missing,
             figures={"latency": f"more than {wait}", "timeout": wait,
                      "longest": "its longest answer"},
-            sureness=Sureness.LIKELY,
+            sureness=Sureness.POSSIBLE if is_dead else Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
         )  # fmt: skip
         return
-    if unit.missing < ENOUGH or not unit.waits or tally.latency.count < ENOUGH:
-        return
-    wait_ns = min(unit.waits)
-    slowest_ns = tally.latency.percentile(95)
-    if wait_ns < SHORTEST_TIMEOUT_NS:
-        return
-    if NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
+    wait_ns, slowest_ns = min(unit.waits, default=0), tally.latency.percentile(95)
+    is_missed = unit.missing >= ENOUGH and tally.latency.count >= ENOUGH
+    if not is_missed or wait_ns < SHORTEST_TIMEOUT_NS:
+        if unit.count:
+            yield _trouble(link, number, unit, tally.requests)
+    elif NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
         yield Trouble(
             code="LINE-LATE",
             link=link,
@@ -312,7 +312,8 @@ def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
 
 def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
-    count = max(late.count, late.missing)
+    is_rare = late.count < ENOUGH
+    count = late.count if is_rare else max(late.count, late.missing)
     waits = _s(median(late.waits)) if late.waits else "less"
     return Trouble(
         code="LINE-LATE",
@@ -321,7 +322,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         count=count,
         of=max(requests, count),
         weight=count,
-        is_small=count < FEW * requests,
+        is_small=is_rare or count < FEW * requests,
         figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
         evidence=tuple(late.cases),
     )

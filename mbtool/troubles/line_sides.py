@@ -5,7 +5,8 @@
 #                no request, and all requests are writes, whose response looks like a request. Only
 #                requests: none of ENOUGH requests to at least two units has a response, and there
 #                is no other byte on the line. A line with one unit may as well have a dead one, so
-#                nothing is said of it.
+#                nothing is said of it, unless the master mostly goes on sooner than any gives up:
+#                then it had the responses.
 # LINE-ECHO      The decoder tells of the second copy of a request (EventKind.ECHO): the adapter
 #                hears its own bytes. Nothing fails by that, so it is a note.
 # LINE-REPEATED  A response without a request has the same bytes as the one before it, or the
@@ -24,6 +25,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import RESPONDED, Outcome
+from mbtool.troubles.line_late import SHORTEST_TIMEOUT_NS
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
@@ -39,6 +41,7 @@ SOON_NS = 1_000_000_000
 """A copy of a response comes at most so long (ns) after it."""
 OFTEN = 0.1
 """Responses are repeated if at least this share (0 to 1) of them come twice."""
+MOSTLY = 0.5
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
 """Functions whose response can be taken for a request."""
 _BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO, EventKind.REPEATED))
@@ -50,6 +53,10 @@ class _SidedLine:
     requests: int = 0
     other_requests: int = 0
     """The number of requests whose response could not be taken for them."""
+    last_ns: int = 0
+    """When the last request was sent (UTC ns)."""
+    soon: int = 0
+    """The number of requests that came so soon after the one before that this was not given up."""
     responses: int = 0
     alone: int = 0
     """The number of responses without a request."""
@@ -97,6 +104,8 @@ class HeardSides(Sense):
         if one.request_ns is not None:
             line.requests += 1
             line.other_requests += one.function not in _ECHOING
+            line.soon += 0 < one.request_ns - line.last_ns < SHORTEST_TIMEOUT_NS
+            line.last_ns = one.request_ns
             if one.outcome is Outcome.NO_ANSWER:
                 keep(line.asked_cases, Evidence.of(one))
         if one.outcome not in RESPONDED and one.request_ns is not None:
@@ -141,7 +150,7 @@ class HeardSides(Sense):
                 line.requests >= ENOUGH
                 and not line.responses
                 and not line.other
-                and len(line.units) > 1
+                and (len(line.units) > 1 or line.soon >= MOSTLY * line.requests)
             ):
                 yield Trouble(
                     code="LINE-ONE-SIDE", link=link.name, count=line.requests, of=line.requests,

@@ -43,6 +43,8 @@ ENOUGH = 5
 FEW = 0.1
 """A constant byte stands beside at least this share (0 to 1) of the transactions."""
 MOSTLY = 0.8
+OFTEN = 0.2
+"""A place is told if at least this share (0 to 1) of the constant bytes stand there."""
 LONGEST_BIAS = 2
 NEAR_NS = 4_000_000
 """A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
@@ -81,7 +83,8 @@ class _StrayLine:
     bias: Counter[bytes] = field(default_factory=Counter)
     waiting: list[WireEvent] = field(default_factory=list)
     """Single bytes whose place is not known yet."""
-    places: Counter[str] = field(default_factory=Counter)
+    places: Counter[tuple[str, int]] = field(default_factory=Counter)
+    """Beside which frames, and of which unit, the bytes stand."""
     bias_cases: list[Evidence] = field(default_factory=list)
     last: NamedTransaction | None = None
     text: int = 0
@@ -185,19 +188,21 @@ class StrayBytes(SortedSense):
         before = line.last
         for event in line.waiting:
             begin_ns, end_ns = event.ts_ns, event.ts_ns + len(event.raw) * character_ns
-            distances: dict[str, int] = {}
+            distances: list[tuple[int, str, int]] = []
             if before is not None and before.request_ns is not None:
-                distances["behind requests"] = abs(begin_ns - before.request_ns)
+                distance = abs(begin_ns - before.request_ns)
+                distances.append((distance, "behind requests", before.unit))
             if before is not None and before.response_ns is not None:
-                size = len(before.response_raw or b"") * character_ns
-                distances["before answers"] = abs(before.response_ns - size - end_ns)
-                distances["behind answers"] = abs(begin_ns - before.response_ns)
+                begun_ns = before.response_ns - len(before.response_raw or b"") * character_ns
+                distances.append((abs(begun_ns - end_ns), "before answers", before.unit))
+                distance = abs(begin_ns - before.response_ns)
+                distances.append((distance, "behind answers", before.unit))
             if after.request_ns is not None:
-                size = len(after.request_raw or b"") * character_ns
-                distances["before requests"] = abs(after.request_ns - size - end_ns)
-            nearest = min(distances, key=lambda place: distances[place], default="")
-            if nearest and distances[nearest] <= NEAR_NS:
-                line.places[nearest] += 1
+                begun_ns = after.request_ns - len(after.request_raw or b"") * character_ns
+                distances.append((abs(begun_ns - end_ns), "before requests", after.unit))
+            distance, place, unit = min(distances, default=(NEAR_NS + 1, "", 0))
+            if distance <= NEAR_NS:
+                line.places[place, unit] += 1
         line.waiting.clear()
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
@@ -205,33 +210,50 @@ class StrayBytes(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _bias(link.name, line)
+                yield from _bias(link, line)
                 yield from _foreign(link.name, line)
         for name, line in self._lines.items():
             yield from _settings(name, line)
 
 
-def _bias(link: str, line: _StrayLine) -> Iterator[Trouble]:
+def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     if not line.bias:
         return
     (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
     is_constant = count >= MOSTLY * line.bias.total()
     if count < ENOUGH or count < FEW * transactions or not is_constant:
         return
-    total = line.places.total() or 1
-    places = [place for place, number in line.places.most_common() if number >= 0.2 * total]
+    by_place: Counter[str] = Counter()
+    for (place, _), number in line.places.items():
+        by_place[place] += number
+    total = by_place.total() or 1
+    places = [place for place, number in by_place.most_common() if number >= OFTEN * total]
+    whose = _whose(link, line, total) if all(place.endswith("answers") for place in places) else ""
+    where = f"{' and '.join(places)}{f' of {whose}' if whose else ''}" or "between frames"
     yield Trouble(
-        code="LINE-BIAS", link=link, count=count, of=max(2 * transactions, count),
+        code="LINE-BIAS", link=link.name, count=count, of=max(2 * transactions, count),
         figures={
-            "byte": f"{byte.hex().upper()}H", "places": " and ".join(places) or "between frames",
-            **_bias_words(places),
+            "byte": f"{byte.hex().upper()}H", "places": where, **_bias_words(places, whose),
         },
         sureness=Sureness.LIKELY, evidence=tuple(line.bias_cases),
     )  # fmt: skip
 
 
-def _bias_words(places: Sequence[str]) -> dict[str, str]:
-    """Say why a constant byte stands at these places, and what to do.
+def _whose(link: LinkReport, line: _StrayLine, total: int) -> str:
+    """Name the units beside whose frames the constant bytes stand; empty if they are all that
+    answer.
+    """
+    by_unit: Counter[int] = Counter()
+    for (_, unit), number in line.places.items():
+        by_unit[unit] += number
+    units = sorted(unit for unit, number in by_unit.items() if number >= FEW * total)
+    answering = {one.unit for one in link.functions if one.tally.latency.count >= ENOUGH}
+    return " and ".join(f"unit {unit}" for unit in units) if answering - {*units} else ""
+
+
+def _bias_words(places: Sequence[str], whose: str) -> dict[str, str]:
+    """Say why a constant byte stands at these places, and what to do. `whose` names the units, if
+    it stands beside frames of some only.
 
     Missing bias shows whenever the line is released, and so beside the frames of all senders; a
     driver that is switched at a wrong time, beside those of one.
@@ -242,7 +264,9 @@ def _bias_words(places: Sequence[str]) -> dict[str, str]:
             "why": "the idle line floats, as bias is missing",
             "remedy": "fit bias resistors at one place of the line, and termination at both ends",
         }
-    driver = "the master's driver" if senders == {"requests"} else "a slave's driver"
+    driver = f"the driver of {whose}" if whose else "a slave's driver"
+    if senders == {"requests"}:
+        driver = "the master's driver"
     times = {place.partition(" ")[0] for place in places}
     when = {"before": "on too early", "behind": "off too late"}
     how = " and ".join(when[time] for time in ("before", "behind") if time in times)
@@ -285,7 +309,7 @@ def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
         whole = not line.answered
         when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
         yield Trouble(
-            code="LINE-SETTINGS", link=link, count=one.pieces,
+            code="LINE-SETTINGS", link=link, count=one.pieces, of=one.pieces + line.frames,
             since_ns=None if whole else one.first.ts_ns,
             until_ns=None if whole or one is line.stretch else one.last_ns,
             figures={"bytes": f"{one.size:,}", "when": when},

@@ -3,10 +3,11 @@ up.
 """
 
 # NET-BLOCKED  Behind one address are several units: a gateway with a line. While one is slow or
-#              silent there, the requests to the others wait, and fail or are slow, too. A request
-#              to another unit is blocked if it was sent while a slow (SLOW_NS) or unanswered one
-#              waited, and was slow or unanswered as well. The unit that others wait for much more
-#              often than it waits for them is the cause.
+#              silent there, the requests to the others wait, and fail or are slow, too. Slow
+#              (SLOW_NS) and unanswered requests are put in a row: each has its turn when the one
+#              sent before it has ended. A request is blocked if it waited for its turn, mostly for
+#              one to another unit. The unit that others wait for much more often than it waits for
+#              them in that time is the cause.
 # NET-SHARED   Several masters ask at once, and what they ask serves one request at a time, in their
 #              order: a gateway with one line. A request waits if one of another master was sent
 #              before it and is answered WAIT_NS or more after it was sent; that rest is its wait.
@@ -18,9 +19,10 @@ up.
 #              equally long. Masters that pipeline send requests at any time, and are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
-# often, and none is blamed. A slow network makes all units slow alike. A PLC that answers all
-# requests at the end of its cycle makes nobody wait for the other (SERVED_NS). What waits for a
-# unit that is much slower than others (SLOWER) does so because of that unit.
+# often, and none is blamed; what is answered before a slow request did not wait for it. A slow
+# network makes all units slow alike. A PLC that answers all requests at the end of its cycle makes
+# nobody wait for the other (SERVED_NS). What waits for a unit that is much slower than others
+# (SLOWER) does so because of that unit.
 #
 # Memory: KEPT slow requests, and KEPT requests that may wait, of each of at most MAX_LINKS links;
 # the last RECENT requests and some numbers of each of at most MAX_LINKS connections; MAX_EVIDENCE
@@ -30,13 +32,16 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
+from itertools import takewhile
 from statistics import median, median_low
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.moments import DAY_NS
 from mbtool.core.wording import duration, host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
+from mbtool.troubles.failure_limits import time_of_failures
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
@@ -78,9 +83,21 @@ class _Slow(NamedTuple):
     """A request that was slow or not answered; times in ns."""
 
     begin_ns: int
-    end_ns: int
+    end_ns: int | None
+    """None if it was not answered."""
     unit: int
     evidence: Evidence
+
+
+class _BlockedRequest(NamedTuple):
+    """A request that waited for one to another unit, `by`; times in ns."""
+
+    of: _Slow
+    by: int
+    turn_ns: int
+    """When the request that it waited for had its turn."""
+    held_ns: int
+    """How long that request held up the line."""
 
 
 class _SlowRequest(NamedTuple):
@@ -151,8 +168,8 @@ class Gateways(Sense):
         latency_ns = one.latency_ns
         is_failed = one.outcome is Outcome.NO_ANSWER or one.exception in GATEWAY_EXCEPTIONS
         if is_failed or (latency_ns is not None and latency_ns >= SLOW_NS):
-            end_ns = one.response_ns or one.request_ns + UNANSWERED_NS
-            self._keep(one.link, _Slow(one.request_ns, end_ns, one.unit, Evidence.of(one)))
+            slow = _Slow(one.request_ns, one.response_ns, one.unit, Evidence.of(one))
+            self._keep(one.link, slow)
         shared = self._shared_by(one)
         if shared is not None and latency_ns is not None and latency_ns >= WAIT_NS:
             end_ns = one.request_ns + latency_ns
@@ -235,11 +252,10 @@ class Gateways(Sense):
             (link.name, one.unit): one.tally.requests for link in links for one in link.functions
         }
         whole = {link.name for link in links if link.is_whole}
-        for link, slow in self._slow.items():
-            if link in whole:
-                yield from _blocked(link, slow)
         for of_link in links:
-            shared = self._shared.get(of_link.name)
+            slow, shared = self._slow.get(of_link.name), self._shared.get(of_link.name)
+            if of_link.is_whole and slow is not None:
+                yield from _blocked(of_link, slow)
             if of_link.is_whole and shared is not None and shared.waiting:
                 yield from _of_shared(of_link, shared)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
@@ -358,38 +374,77 @@ def _slope(groups: Sequence[Sequence[_SharedWait]]) -> float:
     return products / squares if squares else 0.0
 
 
-def _blocked(link: str, slow: Sequence[_Slow]) -> Iterator[Trouble]:
+def _blocked(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Trouble]:
     """Yield the units of a gateway that the requests to its other units wait for."""
-    in_order = sorted(slow, key=lambda one: (one.begin_ns, one.end_ns, one.unit))
-    waits: dict[int, list[_Slow]] = {}
+    waits: dict[int, list[_BlockedRequest]] = {}
     """By unit, the requests to other units that waited for it."""
-    waiting: list[_Slow] = []
-    edges: Counter[tuple[int, int]] = Counter()
-    for one in in_order:
-        waiting = [each for each in waiting if each.end_ns > one.begin_ns][-RECENT:]
-        blockers = {each.unit for each in waiting if each.unit != one.unit}
-        for unit in blockers:
-            edges[unit, one.unit] += 1
-            waits.setdefault(unit, []).append(one)
-        if one.end_ns - one.begin_ns <= LONGEST_NS:
-            waiting.append(one)
-    own = Counter(one.unit for one in in_order)
+    of_unit: dict[int, list[int]] = {}
+    """By unit, the times of its requests that waited for other units."""
+    for one in _blocked_requests(slow):
+        waits.setdefault(one.by, []).append(one)
+        of_unit.setdefault(one.of.unit, []).append(one.of.begin_ns)
+    own = Counter(one.unit for one in slow)
     for unit, blocked in waits.items():
-        back = sum(number for (_, other), number in edges.items() if other == unit)
+        first_ns, last_ns = blocked[0].of.begin_ns, blocked[-1].of.begin_ns
+        then = Counter(one.unit for one in slow if first_ns <= one.begin_ns <= last_ns)
+        back = sum(first_ns <= at_ns <= last_ns for at_ns in of_unit.get(unit, ()))
         if len(blocked) < ENOUGH or len(blocked) < MORE * back:
             continue
-        victims = Counter(one.unit for one in blocked)
-        told = [number for number, count in victims.items() if count >= MOSTLY * own[number]]
+        victims = Counter(one.of.unit for one in blocked)
+        told = sorted(
+            number
+            for number, count in victims.items()
+            if count >= MOSTLY * then[number] and len(of_unit[number]) >= MOSTLY * own[number]
+        )
         if not told:
             continue
-        times = [one.end_ns - one.begin_ns for one in in_order if one.unit == unit]
+        begin_ns, end_ns = link.begin_ns, link.end_ns
+        is_late, is_over = time_of_failures(begin_ns, first_ns, last_ns, end_ns)
+        held = {one.turn_ns: one.held_ns for one in blocked}
         yield Trouble(
-            code="NET-BLOCKED", link=link, unit=unit, count=len(blocked),
-            of=sum(own[number] for number in victims), weight=len(blocked), victims=tuple(told),
+            code="NET-BLOCKED", link=link.name, unit=unit, count=len(blocked),
+            of=sum(then[number] for number in victims), weight=len(blocked), victims=tuple(told),
+            since_ns=first_ns if is_late else None, until_ns=last_ns if is_over else None,
+            is_long=end_ns - begin_ns >= DAY_NS,
             figures={
-                "held": duration(median(times)),
-                "units": " and ".join(f"unit {number}" for number in sorted(told)[:3]),
+                "held": duration(median(held.values())),
+                "units": " and ".join(f"unit {number}" for number in sorted(victims)[:3]),
             },
             sureness=Sureness.LIKELY,
-            evidence=tuple(one.evidence for one in blocked[:MAX_EVIDENCE]),
+            evidence=tuple(one.of.evidence for one in blocked[:MAX_EVIDENCE]),
         )  # fmt: skip
+
+
+def _blocked_requests(slow: Iterable[_Slow]) -> Iterator[_BlockedRequest]:
+    """Yield the requests that waited most of all for one to another unit, in the order of time.
+
+    A gateway serves one request at a time, in their order: each has its turn when the one before it
+    has ended.
+    """
+    in_order = sorted(slow, key=lambda one: (one.begin_ns, one.unit))
+    recent: deque[tuple[int, int, int]] = deque(maxlen=RECENT)
+    """The last requests: when each had its turn, when it ended (UTC ns), and its unit."""
+    free_ns = 0
+    for at, one in enumerate(in_order):
+        turn_ns = max(one.begin_ns, free_ns)
+        end_ns = _answered_ns(in_order, at) if one.end_ns is None else one.end_ns
+        waited = [
+            (end - max(turn, one.begin_ns), turn, end, unit)
+            for turn, end, unit in recent
+            if one.begin_ns < end <= end_ns and end - turn >= SLOW_NS
+        ]
+        longest_ns, turn, end, unit = max(waited, default=(0, 0, 0, one.unit))
+        if unit != one.unit and longest_ns >= MOSTLY * (turn_ns - one.begin_ns):
+            yield _BlockedRequest(one, unit, turn, end - turn)
+        if turn_ns < end_ns <= one.begin_ns + LONGEST_NS:
+            recent.append((turn_ns, end_ns, one.unit))
+            free_ns = end_ns
+
+
+def _answered_ns(in_order: Sequence[_Slow], at: int) -> int:
+    """Return when a request without an answer ended (UTC ns): the line answers the next request
+    then.
+    """
+    least_ns = in_order[at].begin_ns + UNANSWERED_NS
+    after = takewhile(lambda one: one.begin_ns <= least_ns, in_order[at + 1 :])
+    return max(least_ns, min((one.end_ns for one in after if one.end_ns), default=0))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import host_of
+from mbtool.core.wording import duration, host_of
 from mbtool.modbus import RESPONDED
 from mbtool.troubles.failure_limits import is_grave
 from mbtool.troubles.sense import MAX_LINKS, Sense
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
+HELD_NS = 1_000_000_000
+"""Fewer retransmissions than ENOUGH are told if one held an answer up for so long (ns)."""
 PENDING = 64
 
 
@@ -42,13 +44,17 @@ class _Path:
     pending: list[WireEvent] = field(default_factory=list)
     """Retransmissions after which no answer was heard yet."""
     cases: list[Evidence] = field(default_factory=list)
+    held_ns: int = 0
+    """The greatest latency of a request that waited while something was sent again."""
 
-    def confirm(self, answered_ns: int) -> None:
-        """Count the retransmissions before an answer."""
+    def confirm(self, asked_ns: int, answered_ns: int) -> None:
+        """Count the retransmissions before an answer, and how long the request waited for them."""
         for event in self.pending:
             if event.ts_ns <= answered_ns:
                 self.count += 1
                 keep(self.cases, Evidence.of_event(event))
+                if asked_ns <= event.ts_ns:
+                    self.held_ns = max(self.held_ns, answered_ns - asked_ns)
         self.pending = [event for event in self.pending if event.ts_ns > answered_ns]
 
 
@@ -81,24 +87,26 @@ class LossyPaths(Sense):
             return
         path = self._paths.get((one.link, host_of(one.source)))
         if path is not None and path.pending:
-            path.confirm(one.response_ns)
+            path.confirm(one.start_ns, one.response_ns)
 
     def run(self, run: AnsweredRun) -> None:
         for kind in run.forms() if self._paths else ():
             path = self._paths.get((kind.like.link, host_of(kind.like.source)))
             if path is not None and path.pending:
-                path.confirm(kind.end_ns)
+                path.confirm(kind.end_ns, kind.end_ns)
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         whole = {link.name: link.tally for link in links if link.is_whole}
         for (link, master), path in self._paths.items():
             tally = whole.get(link)
-            if tally is None or path.count < ENOUGH:
+            if tally is None or (path.count < ENOUGH and path.held_ns < HELD_NS):
                 continue
+            held = f", an answer took {duration(path.held_ns)} then" if path.held_ns else ""
             messages = tally.requests + sum(map(tally.count, RESPONDED))
             yield Trouble(
                 code="NET-LOSSY", link=link, master=master, count=path.count,
                 of=max(messages, path.count), weight=path.count,
+                figures={"held": held},
                 is_small=not is_grave(path.count, messages), sureness=Sureness.LIKELY,
                 evidence=tuple(path.cases),
             )  # fmt: skip

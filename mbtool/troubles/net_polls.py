@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.cases import Cases
 
 ENOUGH = 10
 MOSTLY = 0.8
@@ -60,7 +61,8 @@ class _Parts:
 class NetworkPolls(Sense):
     """Finds NET-ONE-SIDE and NET-DELAYED-ACK."""
 
-    def __init__(self) -> None:
+    def __init__(self, cases: Cases) -> None:
+        self._cases = cases
         self._cut: Counter[str] = Counter()
         """By link, the number of events about missing bytes."""
         self._parts: dict[tuple[str, str | int], _Parts] = {}
@@ -99,7 +101,7 @@ class NetworkPolls(Sense):
                 found = [*self._in_parts(link)]
                 yield from found
                 told = {one.unit for one in found}
-                yield from (one for one in _delayed(link) if one.unit not in told)
+                yield from (one for one in _delayed(link, self._cases) if one.unit not in told)
 
     def _in_parts(self, link: LinkReport) -> Iterator[Trouble]:
         for (name, who), parts in self._parts.items():
@@ -138,7 +140,7 @@ def _one_side(link: LinkReport) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _delayed(link: LinkReport) -> Iterator[Trouble]:
+def _delayed(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
     by_unit: dict[int, list[PollStatistics]] = {}
     for one in link.polls:
         if one.poll.tally.latency.count >= ENOUGH:
@@ -156,13 +158,16 @@ def _delayed(link: LinkReport) -> Iterator[Trouble]:
                 "how": f"{'takes' if len(slow) == 1 else 'take'} {in_ms(_median(slow[0]))} ms each "
                        "time, others are quick",
             },
-            sureness=Sureness.LIKELY,
+            sureness=Sureness.LIKELY, evidence=cases.slowest(slow),
         )  # fmt: skip
 
 
 def _is_timer(poll: PollStatistics) -> bool:
+    """True if most answers come at the time of a delayed acknowledgement and hardly one later; some
+    come earlier, as something else is sent that acknowledges, too.
+    """
     latency = poll.tally.latency
-    low, high = latency.percentile(10), latency.percentile(90)
+    low, high = latency.percentile(100 * (1 - MOSTLY)), latency.percentile(90)
     return any(least <= low and high <= greatest for least, greatest in TIMERS_NS)
 
 

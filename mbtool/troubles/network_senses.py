@@ -11,11 +11,10 @@ from mbtool.troubles.net_lost import LostConnections
 from mbtool.troubles.net_polls import NetworkPolls
 
 if TYPE_CHECKING:
-    from mbtool.devices.checking.capture_context import CaptureContext
+    from mbtool.troubles.cases import Cases
     from mbtool.troubles.sense import Sense
 
 
-def network_senses(context: CaptureContext) -> list[Sense]:
-    """Return a sense of each kind; `context` has facts about the present capture."""
-    del context
-    return [NetworkPolls(), Gateways(), LostConnections(), LossyPaths(), Hosts()]
+def network_senses(cases: Cases) -> list[Sense]:
+    """Return a sense of each kind; `cases` has the slow answers as evidence."""
+    return [NetworkPolls(cases), Gateways(), LostConnections(), LossyPaths(), Hosts()]

@@ -9,20 +9,21 @@ Each is found by figures of `Statistics`, and so without a look at single transa
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from heapq import nlargest
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted, duration, in_ms
-from mbtool.ledger.poll_statistics import LONG_NS
+from mbtool.ledger.poll_statistics import LONG_NS, PollStatistics
 from mbtool.troubles.trouble import Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.cases import Cases
 
 LATE_NS = 100_000_000
 LATE_TIMES = 20
@@ -81,6 +82,8 @@ class LateUnit:
     """The median latency of the poll with most late answers."""
     late_ns: int
     """The least latency from which an answer of the unit is late."""
+    polls: Sequence[PollStatistics]
+    """The polls that have late answers."""
 
     @property
     def lost_s(self) -> float:
@@ -103,7 +106,7 @@ class ShortConnections:
         return self.opened * _HANDSHAKE_S
 
 
-def polling_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
+def polling_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trouble]:
     """Yield what is odd in the polling as troubles; nothing if a filter left out transactions."""
     if not all(link.is_whole for link in links):
         return
@@ -112,7 +115,7 @@ def polling_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
     requests = {link.name: link.tally.requests for link in links}
     yield from map(_paused, pauses(polls))
     yield from map(_short, short_connections(connections, polls, lambda link: requests[link]))
-    yield from map(_late, late_units(polls))
+    yield from (_late(one, cases) for one in late_units(polls))
 
 
 def _paused(one: PollingPause) -> Trouble:
@@ -138,7 +141,7 @@ def _short(one: ShortConnections) -> Trouble:
     )  # fmt: skip
 
 
-def _late(one: LateUnit) -> Trouble:
+def _late(one: LateUnit, cases: Cases) -> Trouble:
     longest = duration(one.longest_ns)
     figures = {
         "late": counted(one.number, "answer", ","),
@@ -149,6 +152,7 @@ def _late(one: LateUnit) -> Trouble:
     return Trouble(
         code="POLL-LATE", link=link, unit=unit, count=one.number, of=one.answers,
         weight=one.lost_s, figures=figures, search=f"ms>={one.late_ns // _MS}",
+        evidence=cases.slowest(one.polls, one.late_ns),
     )  # fmt: skip
 
 
@@ -198,7 +202,7 @@ def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
             continue
         unit = poll.key.link, poll.key.unit
         number = latency.number_from(late_ns)
-        one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns)
+        one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns, (poll,))
         other = found.get(unit)
         found[unit] = one if other is None else _with(other, one)
     return [*found.values()]
@@ -213,6 +217,7 @@ def _with(one: LateUnit, other: LateUnit) -> LateUnit:
         answers=one.answers + other.answers,
         longest_ns=max(one.longest_ns, other.longest_ns),
         late_ns=min(one.late_ns, other.late_ns),
+        polls=(*one.polls, *other.polls),
     )
 
 

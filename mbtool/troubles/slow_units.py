@@ -18,6 +18,8 @@ the median of the other units' median latencies. The latency must also be at lea
 SLOW_NS = 50_000_000
 """The least median latency of a slow unit, in ns. Below, devices differ by their kind: many answer
 within 5 ms, many others within 40 ms."""
+GRAVE_NS = 100_000_000
+"""A slow unit with a lower median latency (ns) than this is a note, as masters wait longer."""
 ENOUGH_ANSWERS = 5
 """Units with fewer responses than this are ignored, as their median latency is not reliable."""
 

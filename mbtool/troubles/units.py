@@ -21,7 +21,7 @@ from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
 from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
 from mbtool.troubles.refusals import always_refused, joint_refusals
-from mbtool.troubles.slow_units import are_many
+from mbtool.troubles.slow_units import GRAVE_NS, are_many
 from mbtool.troubles.slower_units import slow_and_slower_units
 from mbtool.troubles.trouble import Trouble, moment_text
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.cases import Cases
     from mbtool.troubles.refusals import JointRefusals
     from mbtool.troubles.slower_units import Slower
 
@@ -98,7 +99,7 @@ class _JudgedUnit:
         )
 
 
-def unit_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
+def unit_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trouble]:
     """Yield the troubles of single units; `links` has the account of each link."""
     tallies, times, polls = unit_tallies(links), unit_times(links), unit_polls(links)
     serial = {link.name for link in links if link.is_serial}
@@ -125,7 +126,7 @@ def unit_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
         yield _scan(joint, first.link)
         refusing = {key: one for key, one in refusing.items() if one.is_small}
     yield from refusing.values()
-    yield from _slow(units)
+    yield from _slow(units, cases)
 
 
 def _failures(unit: _JudgedUnit) -> Iterator[Trouble]:
@@ -218,23 +219,25 @@ def _scan(joint: JointRefusals, link: str) -> Trouble:
     )  # fmt: skip
 
 
-def _slow(units: dict[tuple[str, int], _JudgedUnit]) -> Iterator[Trouble]:
+def _slow(units: dict[tuple[str, int], _JudgedUnit], cases: Cases) -> Iterator[Trouble]:
     """Yield a trouble for each slow unit, and for each that became slower."""
     units = {key: unit for key, unit in units.items() if not _is_answered_for(unit.tally)}
     slow, slower = slow_and_slower_units(
         {key: unit.tally.latency for key, unit in units.items()},
         {key: unit.times for key, unit in units.items() if unit.times is not None},
     )
-    small = are_many(len(slow), len(units))
+    are_of_kind = are_many(len(slow), len(units))
     for key, usual in slow.items():
         unit, own = units[key], units[key].tally.latency.percentile(50)
         yield Trouble(
             code="UNIT-SLOW", link=unit.link, unit=unit.number, count=unit.tally.latency.count // 2,
-            of=unit.tally.latency.count, weight=own / usual, is_small=small,
+            of=unit.tally.latency.count, weight=own / usual,
+            is_small=are_of_kind or own < GRAVE_NS,
             figures={"median": _ms(own), "usual": _ms(usual)},
+            evidence=cases.slowest(unit.polls),
         )  # fmt: skip
     for key, one in slower.items():
-        yield _slower(units[key], one)
+        yield _slower(units[key], one, cases)
 
 
 def _is_answered_for(tally: RequestTally) -> bool:
@@ -246,13 +249,14 @@ def _is_answered_for(tally: RequestTally) -> bool:
     return 2 * of_gateway > tally.latency.count
 
 
-def _slower(unit: _JudgedUnit, one: Slower) -> Trouble:
+def _slower(unit: _JudgedUnit, one: Slower, cases: Cases) -> Trouble:
     answers = sum(each.answered for each in unit.times.bins.bins()) if unit.times else 0
     since = f" since {moment_text(one.since_ns, is_long=one.is_long)}"
     return Trouble(
         code="UNIT-SLOWER", link=unit.link, unit=unit.number, count=answers, weight=one.factor,
         is_long=one.is_long,
         figures={"mean": _ms(one.mean_ns), "before": _ms(one.before_ns), "since": since},
+        evidence=cases.slowest(unit.polls, since_ns=one.since_ns),
     )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ _ROWS = (
         "recording is so, look who changed them then",
         "line", "settings wrong",
         ("RTU-201", "RTU-202", "RTU-203", "RTU-204", "POLL-PAUSED", "LINE-NOISE", "LINE-LOST-BYTES",
-         "LINE-SAME-UNIT", "LINE-FOREIGN", *_BLAMED, *_DAMAGED),
+         "LINE-SAME-UNIT", "LINE-FOREIGN", "LINE-BIAS", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-ONE-SIDE", _E,
@@ -55,24 +55,26 @@ _ROWS = (
         "listen also where the {lacking} are: the other pair of a four-wire line, the other port, "
         "or in front of the converter",
         "line", "only {side} heard",
-        ("RTU-101", "RTU-102", "RTU-103", "RTU-104", "MB-401", "MB-403", *_BLAMED, *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-104", "RTU-202", "MB-202", "MB-401", "MB-403",
+         *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-TWO-MASTERS", _E,
-        "two masters share {link}: their requests collide or interrupt each other ({count} times)",
+        "two masters share {link}: their requests collide or interrupt each other ({count} times)"
+        "{polls}",
         "let one master poll for both, or put a gateway between them and the line, which takes "
         "their requests in turn",
         "line", "two masters",
-        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401", "MB-402",
-         "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401",
+         "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-SAME-UNIT", _E,
-        "two slaves answer as {who}: {count} of {of} answers collide or come twice ({how})",
+        "two slaves answer as {who}{other}: {count} of {of} answers collide or come twice ({how})",
         "give one of them another address; to find it, take them off the line one by one",
         "unit", "two slaves with this address",
-        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", *_BLAMED,
-         *_DAMAGED),
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-102", "MB-104", "MB-106",
+         "MB-401", "MB-402", "MB-403", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-LATE", _E,
@@ -80,8 +82,8 @@ _ROWS = (
         "answers come too late",
         "raise the master's time-out above {longest}, or ask for less in one request",
         "unit", "{count} answers after the time-out",
-        ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
-         "LINE-SAME-UNIT", "LINE-NOISE", "LINE-LOST-BYTES", *_BLAMED, *_DAMAGED),
+        ("RTU-103", "RTU-202", "MB-104", "MB-106", "MB-401", "MB-402", "MB-403", "POLL-LATE",
+         "UNIT-SLOW", "LINE-SAME-UNIT", "LINE-NOISE", "LINE-LOST-BYTES", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-LOST-BYTES", _W,
@@ -112,13 +114,13 @@ _ROWS = (
         "find the device that talks another protocol on these wires, and give it a line of its own",
         "line", "another protocol",
         ("RTU-201", "RTU-202", "RTU-204", "MB-403", "LINE-NOISE", "LINE-LOST-BYTES",
-         "LINE-SAME-UNIT", *_BLAMED, *_DAMAGED),
+         "LINE-SAME-UNIT", "UNIT-MISSING", *_DAMAGED),
     ),
     Words(
         "LINE-REPEATED", _W,
         "frames come twice at {link}: {count} of {of} responses are copies of the one before",
         "look for a repeater, a converter or a second tap that sends or records each frame again",
-        "line", "frames twice", ("MB-403", "RTU-103", "LINE-ECHO", *_BLAMED),
+        "line", "frames twice", ("MB-403", "RTU-103", "LINE-ECHO", "UNIT-MISSING"),
     ),
     Words(
         "LINE-ECHO", _N,
@@ -179,8 +181,8 @@ _ROWS = (
     ),
     Words(
         "NET-LOSSY", _W,
-        "{count} of {of} messages between {who} and {link} are sent again: packets are "
-        "lost on the way, or acknowledged too late",
+        "{count} of {of} messages between {who} and {link} are sent again{held}: packets "
+        "are lost on the way, or acknowledged too late",
         "look at cables, radio links and the counters of errors of each switch port on the way "
         "(a wrong duplex mode loses packets under load, too)",
         "link", "{count} messages sent again", ("POLL-LATE",),
@@ -240,6 +242,57 @@ _ROWS = (
         "{who} answers slower{since}: in {mean} on average, before in {before}",
         "find out what changed then in the device or behind it: load, firmware, a gateway's line",
         "unit", "slower{since}, {mean}",
+    ),
+    # Values.
+    Words(
+        "VALUE-NOT-VALID", _W,
+        '{who} says "{text}" in {value} ({times} of {of}){more}',
+        "do not use the values that this is about; look at their sensors and wires",
+        "unit", 'says "{text}"',
+    ),
+    Words(
+        "VALUE-NONE", _W,
+        "{value} of {who} is {word} ({number}) in {times} of {of}, which means no value in many "
+        "devices{more}",
+        "let the master take it as missing, look why the device has no value then, and write "
+        "no_value into the profile",
+        "unit", "{value} without a value",
+    ),
+    Words(
+        "VALUE-RANGE", _W,
+        "{value} of {who} is {number} ({times} of {of}); its profile allows {range}{more}",
+        "check the sensor and its wires, or correct the range in the profile",
+        "unit", "{value} out of range",
+    ),
+    Words(
+        "VALUE-STUCK", _W,
+        "{value} of {who} stays at {number} for {rest}, while values beside it move as "
+        "before{more}",
+        "compare it with what it measures: a sensor, or the program that copies the value, may "
+        "have stopped",
+        "unit", "{value} stuck",
+    ),
+    Words(
+        "VALUE-JUMPED", _W,
+        "{value} of {who} jumps from {before} to {after}, while its steps are at most {usual} "
+        "otherwise{more}",
+        "look at what happened then: a loose contact, a disturbed wire, or halves of a number that "
+        "were read at different times make such values",
+        "unit", "{value} jumped",
+    ),
+    Words(
+        "VALUE-RESET", _W,
+        "{value} of {who} only rises, and falls from {before} to {after}{more}",
+        "find out if the device restarted or was set back then, and let what adds up the counter "
+        "expect it",
+        "unit", "{value} reset",
+    ),
+    Words(
+        "VALUE-BACKWARDS", _W,
+        "{value} of {who} only rises otherwise, and runs back from {before} to {after}{more}",
+        "look at what counts: a turned direction, a replaced device, or halves of a number that "
+        "were read at different times",
+        "unit", "{value} ran backwards",
     ),
     # Polling.
     Words(

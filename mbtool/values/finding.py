@@ -27,6 +27,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import nlargest
 from itertools import pairwise, product
+from operator import itemgetter
 from statistics import median, pstdev
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -42,7 +43,9 @@ if TYPE_CHECKING:
 MOST_SHOWN = 100
 """At most this many places are returned for a number."""
 NOWHERE = 1e-5
-"""How probable a number is that is in no register."""
+"""How probable a number is that is in no register, at most."""
+_NOWHERE_OF_ITS_SIZE = 0.01
+"""The same, as a share of its tolerance: one of many digits matches a register by chance seldom."""
 _UNJUDGED = 0.02
 """The share of a reading that the judgement does not favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
@@ -62,6 +65,10 @@ _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 
 _FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 _UNSEEN_DIGIT = 1.4
 """A register with a digit more than the display shows is less probable by exp of this."""
+_DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
+"""By this share of itself, a value may differ a little before the recording, or after it."""
+_BETWEEN = 1e-3
+"""The factor for a number that is between two whole numbers of a register, as it cannot show it."""
 _REACH = 8
 _NEGLIGIBLE = 1e-9
 _MOST_IDEAS = 200
@@ -152,9 +159,10 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
     """Return the places of each wanted number, the most probable first."""
     ideas = [idea for slave in slaves for idea in _ideas(slave)]
     scores = [_scores(one, ideas) for one in wanted]
+    nowhere = [_nowhere(one) for one in wanted]
     for _ in range(_STRIDE_ROUNDS if len(wanted) > 2 else 0):
-        scores = _with_strides(scores, _balanced(scores, ideas), ideas)
-    shares = _balanced(scores, ideas)
+        scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
+    shares = _balanced(scores, nowhere, ideas)
     return [
         [
             FoundPlace(
@@ -171,6 +179,14 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
         ]
         for own in shares
     ]
+
+
+def _nowhere(one: Wanted) -> float:
+    """How probable what was seen is, if it is in no register."""
+    finest = min(
+        (seen.tolerance / abs(seen.value) for seen in one.sightings if seen.value), default=1.0
+    )
+    return max(min(NOWHERE, _NOWHERE_OF_ITS_SIZE * finest), NOWHERE * _NEGLIGIBLE)
 
 
 def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
@@ -195,6 +211,8 @@ def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
                 continue
             probability = share * idea.weight * (1.0 if is_float else less)
             for seen in sightings:
+                if not is_float and abs(seen.value - round(seen.value)) > seen.tolerance * 1.001:
+                    probability *= _BETWEEN
                 probability *= _probability(seen, idea)
                 if probability < _NEGLIGIBLE * NOWHERE:
                     break
@@ -219,21 +237,26 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
     }
     done: set[tuple[Table, int, WordReading]] = set()
     in_order = sorted(slave.histories, key=lambda one: (one.is_written, -len(one.rows)))
+    found_at: dict[tuple[Table, int], list[tuple[WordReading, Sequence[float]]]] = {}
     for history in in_order:
         for address in range(history.first, history.stop):
-            found: list[tuple[WordReading, Sequence[float]]] = []
+            found = found_at.setdefault((history.table, address), [])
+            merged: dict[int, WordHistory] = {}
             own = inside.get((history.table, address))
             for reading in sorted(_READINGS, key=lambda one: not _is_judged(one, own, address)):
                 if address + reading.words > history.stop:
                     continue
                 if (history.table, address, reading) in done:
                     continue
-                begin = address - history.first
-                columns = [
-                    [row[begin + word] for row in history.rows] for word in range(reading.words)
-                ]
+                own_history = merged.get(reading.words)
+                if own_history is None:
+                    own_history = _history_of(in_order, history, address, reading.words)
+                    merged[reading.words] = own_history
+                columns = list(zip(*own_history.rows, strict=True))
                 numbers = numbers_in(columns, reading)
                 if numbers is None or not _is_plausible(numbers, reading):
+                    continue
+                if _is_shorter(numbers, reading) and not _is_judged(reading, own, address):
                     continue
                 if any(other.words == reading.words and same == numbers for other, same in found):
                     continue
@@ -241,10 +264,12 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
                 found.append((reading, numbers))
                 weight = _weight(reading, own, address)
                 low, high, spread = min(numbers), max(numbers), pstdev(numbers)
-                drift = 3 * spread + 0.004 * max(abs(low), abs(high))
+                drift = 3 * spread + (_DRIFT if spread else _DRIFT_OF_CONSTANT) * max(
+                    abs(low), abs(high)
+                )
                 yield _Idea(
                     slave=slave,
-                    history=history,
+                    history=own_history,
                     address=address,
                     reading=reading,
                     weight=weight,
@@ -257,6 +282,31 @@ def _ideas(slave: WordsOfSlave) -> Iterator[_Idea]:
                     middle=(low + high) / 2,
                     reach=(high - low) / 2 + _REACH * drift,
                 )
+
+
+def _history_of(
+    histories: Sequence[WordHistory], like: WordHistory, address: int, words: int
+) -> WordHistory:
+    """Return the words of some registers, from all requests that read (or write) them."""
+    rows = [
+        (at_ns, row[address - one.first : address - one.first + words])
+        for one in histories
+        if _covers(one, like, address, words)
+        for at_ns, row in zip(one.times_ns, one.rows, strict=True)
+    ]
+    rows.sort(key=itemgetter(0))
+    times, some = zip(*rows, strict=True)
+    return like._replace(first=address, times_ns=times, rows=some)
+
+
+def _covers(one: WordHistory, like: WordHistory, address: int, words: int) -> bool:
+    """True if a history has some registers, and is of the table and kind of another one."""
+    return (
+        one.table is like.table
+        and one.is_written == like.is_written
+        and one.first <= address
+        and address + words <= one.stop
+    )
 
 
 _READINGS = (
@@ -274,6 +324,15 @@ def _is_plausible(numbers: Sequence[float], reading: WordReading) -> bool:
     if reading.type in (PointType.BCD16, PointType.BCD32):
         return max(numbers) > 9
     return all(abs(one) < 1 << 53 for one in numbers)
+
+
+def _is_shorter(numbers: Sequence[float], reading: WordReading) -> bool:
+    """True if fewer registers hold the same whole numbers."""
+    if reading.type not in (PointType.INT32, PointType.UINT32, PointType.INT64):
+        return False
+    least, most = (-0x8000, 0xFFFF) if reading.words == 2 else (-0x80000000, 0xFFFFFFFF)
+    low, high = min(numbers), max(numbers)
+    return least <= low and high <= most and (low >= 0 or high <= -least - 1)
 
 
 def _is_judged(reading: WordReading, judged: Judged | None, address: int) -> bool:
@@ -332,29 +391,23 @@ def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float
     low, high = min(numbers), max(numbers)
     beyond = max(low - value, value - high, 0.0)
     if beyond <= tolerance * 1.001:
-        return min(1.0, 2 * tolerance / (high - low + 2 * tolerance))
+        return min(1.0, 2 * tolerance / ((high - low) + 2 * tolerance))
     drift = 2 * idea.step + tolerance
-    share = min(1.0, tolerance / (drift + high - low))
+    share = min(1.0, tolerance / (drift + (high - low)))
     return 0.3 * share * math.exp(-(beyond - tolerance) / drift)
 
 
 def _around(idea: _Idea, at_ns: int) -> Sequence[float]:
     """The numbers right before and after a time."""
-    for exact in idea.slave.exact.get(at_ns, ()):
-        if (
-            exact.table is idea.history.table
-            and exact.first <= idea.address
-            and idea.address + idea.reading.words <= exact.stop
-            and exact.is_written == idea.history.is_written
-        ):
-            begin = idea.address - exact.first
-            columns = [
-                [row[begin + word] for row in exact.rows] for word in range(idea.reading.words)
-            ]
-            return numbers_in(columns, idea.reading) or ()
-    times = idea.history.times_ns
-    after = bisect_right(times, at_ns)
-    return idea.numbers[max(after - 1, 0) : after + 1]
+    exact = idea.slave.exact.get(at_ns, ())
+    words = idea.reading.words
+    if any(_covers(one, idea.history, idea.address, words) for one in exact):
+        history = _history_of(exact, idea.history, idea.address, words)
+        numbers = numbers_in(list(zip(*history.rows, strict=True)), idea.reading) or ()
+    else:
+        history, numbers = idea.history, idea.numbers
+    after = bisect_right(history.times_ns, at_ns)
+    return numbers[max(after - 1, 0) : after + 1]
 
 
 def _with_strides(
@@ -404,10 +457,12 @@ def _are_alike(ideas: Sequence[_Idea], key: _Key, other: _Key) -> bool:
     )
 
 
-def _balanced(scores: Sequence[_Shares], ideas: Sequence[_Idea]) -> list[_Shares]:
+def _balanced(
+    scores: Sequence[_Shares], nowhere: Sequence[float], ideas: Sequence[_Idea]
+) -> list[_Shares]:
     """Make probabilities of scores, so that no register is much more than one number."""
     shares: list[_Shares] = [dict(own) for own in scores]
-    nowhere = [NOWHERE for _ in scores]
+    nowhere = list(nowhere)
     registers = {place: _registers(ideas[place]) for own in scores for place, _ in own}
     for left in reversed(range(_ROUNDS if len(scores) > 1 else 1)):
         for number, own in enumerate(shares):

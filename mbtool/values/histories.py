@@ -16,8 +16,8 @@ def histories_of(seen: ObservedSlave) -> list[WordHistory]:
         WordHistory(
             request.table,
             request.span.start,
-            samples.times_ns,
-            samples.rows,
+            list(samples.times_ns),
+            list(samples.rows),
             answers=samples.count,
             is_written=request.writes,
         )

@@ -391,13 +391,19 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
             if not is_signed and min(numbers, default=0) >= 0:
                 reading = WordReading(_SIGNED.get(reading.type, reading.type), reading.order)
             role = role_of(numbers, one.times_ns, reading)
-        is_in_doubt = is_in_doubt or _is_in_doubt(reading, numbers, is_divided=one.is_divided())
+        is_alone = one.is_alone(candidate.at, candidate.words)
+        is_in_doubt = is_in_doubt or _is_in_doubt(
+            reading,
+            numbers,
+            is_divided=one.is_divided(),
+            is_vouched=is_alone or before == reading,
+        )
         reason = reason_for(
             reading,
             columns,
             numbers,
             role,
-            is_alone=one.is_alone(candidate.at, candidate.words),
+            is_alone=is_alone,
             is_beside=before == reading,
             is_written=one.history.is_written,
             count=one.history.answers or len(one.history.rows),
@@ -414,15 +420,19 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
         before = reading
 
 
-def _is_in_doubt(reading: WordReading, numbers: Sequence[float], *, is_divided: bool) -> bool:
+def _is_in_doubt(
+    reading: WordReading, numbers: Sequence[float], *, is_divided: bool, is_vouched: bool
+) -> bool:
     """True if numbers are too few, or of a kind too rare, to be sure of them.
 
     With `is_divided`, a request asked for just these registers and others, as if they were one.
+    With `is_vouched`, a request asked for just these, or another of their kind stands before them.
     """
     if reading.type in (PointType.BCD16, PointType.BCD32):
         return len(set(numbers)) < _FEWEST_DIGITS
     if reading.type in (PointType.FLOAT32, PointType.FLOAT64) and len(set(numbers)) == 1:
-        return is_divided or few_decimals(numbers, 16 * reading.words) is None
+        is_plain = few_decimals(numbers, 16 * reading.words) is not None
+        return is_divided or not (is_plain and is_vouched)
     return False
 
 

@@ -39,6 +39,9 @@ _RARE = 4
 """So many of the dearest changes of a series count in full."""
 _CHEAP = 8.0
 """The bits of a series for which no cheaper code is looked for."""
+_MOST_LACKING = 0.2
+_LACKING = 8.0
+"""The cost of each of the first floats that are no number; at most _MOST_LACKING of all are so."""
 _MOST_STATES = 8
 _HIT = 12.0
 _WIDE_NOISE = 13
@@ -132,8 +135,11 @@ def flags_cost(words: Sequence[int]) -> float:
 
 def float_cost(numbers: Sequence[float], bits: int) -> float:
     """The cost of a series of floats of 32 or 64 bits."""
-    if not all(map(math.isfinite, numbers)):
-        return IMPOSSIBLE
+    finite = [number for number in numbers if math.isfinite(number)]
+    if lacking := len(numbers) - len(finite):
+        if lacking > _MOST_LACKING * len(numbers):
+            return IMPOSSIBLE
+        return _LACKING * min(lacking, _RARE) + float_cost(finite, bits)
     greatest = max(map(abs, numbers))
     if greatest == 0:
         return 3.0

@@ -50,7 +50,7 @@ class WordReading(NamedTuple):
         return self.type.words
 
 
-_FORMATS = {
+FORMATS = {
     PointType.UINT16: "H",
     PointType.HEX16: "H",
     PointType.INT16: "h",
@@ -76,7 +76,7 @@ def numbers_in(columns: Sequence[Sequence[int]], reading: WordReading) -> Sequen
         columns = [[_SWAPPED[word] for word in column] for column in columns]
     words = [word for row in zip(*columns, strict=True) for word in row]
     data = struct.pack(f">{len(words)}H", *words)
-    form = _FORMATS.get(reading.type)
+    form = FORMATS.get(reading.type)
     if form is not None:
         return struct.unpack(f">{len(columns[0])}{form}", data)
     size = 2 * len(columns)

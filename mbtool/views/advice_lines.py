@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core.wording import counted, duration
 from mbtool.devices.references import write_reference
+from mbtool.ledger.advice import CycleAdvice, Forecast
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.ledger.advice import CycleAdvice, MergedRead
-
-Advised = tuple[str, str, "CycleAdvice"]
-"""The link, the master (empty on a serial line) and the advice."""
+    from mbtool.ledger.advice import Advised, MergedRead
 
 
 def advice_lines(found: Sequence[Advised]) -> list[str]:
@@ -22,9 +20,21 @@ def advice_lines(found: Sequence[Advised]) -> list[str]:
     lines = []
     for link, master, one in found:
         who = f"{link}, master {master}" if master else link
-        lines.append(f"{who}: {_cycle_text(one)}")
-        lines += [f"  {_merged_text(each)}" for each in one.merged]
+        if isinstance(one, CycleAdvice):
+            lines.append(f"{who}: {_cycle_text(one)}")
+            lines += [f"  {_merged_text(each)}" for each in one.merged]
+        else:
+            lines.append(f"{who}: {_forecast_text(one)}")
     return lines
+
+
+def _forecast_text(one: Forecast) -> str:
+    now_ns = one.busy_ns if one.waits else one.cycle_ns
+    what = "the requests of a cycle take" if one.waits else "a cycle takes"
+    faster = [f"at {baud} baud {duration(now_ns - less_ns)}" for baud, less_ns in one.at_bauds]
+    more = f"with one unit more as the {'one' if one.units == 1 else one.units} of today"
+    others = ", ".join([*faster, f"{more} {duration(now_ns + one.with_unit_ns)}"])
+    return f"{what} {duration(now_ns)} at {one.baud} baud; {others}"
 
 
 def _cycle_text(one: CycleAdvice) -> str:
@@ -53,7 +63,9 @@ def _merged_text(one: MergedRead) -> str:
 def advice_document(found: Sequence[Advised]) -> list[dict[str, Any]]:
     """The advice for JSON."""
     return [
-        {
+        _forecast_document(link, master, one)
+        if isinstance(one, Forecast)
+        else {
             "link": link,
             "master": master,
             "requests": one.requests,
@@ -77,3 +89,19 @@ def advice_document(found: Sequence[Advised]) -> list[dict[str, Any]]:
         }
         for link, master, one in found
     ]
+
+
+def _forecast_document(link: str, master: str, one: Forecast) -> dict[str, Any]:
+    now_ns = one.busy_ns if one.waits else one.cycle_ns
+    return {
+        "link": link,
+        "master": master,
+        "baud": one.baud,
+        "cycle_ms": one.cycle_ns / 1e6,
+        "busy_ms": one.busy_ns / 1e6,
+        "waits": one.waits,
+        "with_one_unit_more_ms": (now_ns + one.with_unit_ns) / 1e6,
+        "at_other_bauds": [
+            {"baud": baud, "ms": (now_ns - less_ns) / 1e6} for baud, less_ns in one.at_bauds
+        ],
+    }

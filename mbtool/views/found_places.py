@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mbtool.values.finding import ChangedPlace, FoundPlace, Wanted
     from mbtool.values.word_readings import WordReading
 
-LEAST_SHOWN = 0.001
+LEAST_SHOWN = 0.01
 _LIKELY = 0.5
 
 

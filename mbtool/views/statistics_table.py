@@ -55,8 +55,8 @@ _LATENCY = (
 )
 _FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5))
 _NOT_CAPTURED = StatisticsColumn("n/cap", 5, 4)
-_OF_MISSING = (StatisticsColumn("late", 5, 5), StatisticsColumn("crc", 5, 5))
-"""How many of the missing answers came late, and how many with a wrong CRC or LRC."""
+_OF_MISSING = (StatisticsColumn("late", 5), StatisticsColumn("crc", 5, 5))
+"""How many answers came late, and how many of the missing ones came with a wrong CRC or LRC."""
 _COUNTS = (StatisticsColumn("asked", 8), StatisticsColumn("/s", 6))
 _POLLS = (
     StatisticsColumn("asked", 7),
@@ -251,7 +251,7 @@ def _poll_cells(one: PollReport, link: LinkReport, *, with_missing: bool) -> lis
         "-" if jitter_ns is None else in_ms(jitter_ns),
         *_latency_cells(poll.tally),
         counted(poll.tally.count(Outcome.EXCEPTION)),
-        counted(poll.tally.not_in_time),
+        counted(poll.tally.unanswered),
         *(_missing_cells(poll.tally) if with_missing else ()),
         share,
     ]
@@ -272,7 +272,7 @@ def _tally_cells(tally: RequestTally, link: LinkReport, *, with_missing: bool) -
         f"{tally.requests:,}",
         per_second(link.rate(tally.requests)),
         counted(tally.count(Outcome.EXCEPTION)),
-        counted(tally.not_in_time),
+        counted(tally.unanswered),
         *(_missing_cells(tally) if with_missing else ()),
         counted(tally.count(Outcome.NOT_CAPTURED)),
         *_latency_cells(tally),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from itertools import product
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -100,19 +101,19 @@ def watch_text(judgement: Judgement, width: int) -> tuple[list[str], str]:
     """Return the worst trouble with its remedy, and the others in a few words each, as at most
     WATCH_LINES lines of `width` characters, and their style; no lines if there is none.
 
-    If there is no room for the remedy, it is left out; then the last ones of the others, and the
-    last line says how many.
+    If there is no room, the last ones of the others are left out, and the last line says how many;
+    then the cause of the worst one is shortened, and only then its remedy is left out.
     """
     troubles = judgement.troubles
     if not troubles:
         return [], ""
     worst, others = troubles[0], [_few_words(one) for one in troubles[1:]]
-    texts = [f"{trouble_text(worst)}{_also(others, len(others))}"]
-    texts += [
-        f"{printable(worst.cause)}{_also(others, named)}" for named in range(len(others), -1, -1)
-    ]
-    for text in texts:
-        lines = wrap(text, max(width, _NARROWEST), break_on_hyphens=False)
+    short = printable(f"{_few_words(worst)}: {worst.remedy}")
+    for text, named in product(
+        (trouble_text(worst), short, printable(worst.cause)), range(len(others), -1, -1)
+    ):
+        whole = f"{text}{_also(others, named)}"
+        lines = wrap(whole, max(width, _NARROWEST), break_on_hyphens=False)
         if len(lines) <= WATCH_LINES:
             break
     style = "bold red" if worst.severity is Severity.ERROR else "yellow"

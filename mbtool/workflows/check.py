@@ -342,7 +342,7 @@ class CheckRun:
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
                 answered = some.answered()
-                self._judge.count_run(answered)
+                self._judge.count_run(answered, some.reads())
                 yield CheckedRecord(None, None, findings, some, answered)
 
     def _check(self, record: Record) -> CheckedRecord:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import random
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import Direction, LinkError, SerialLink, TcpLink
 from mbtool.core.limits import LAST_UNIT
 from mbtool.core.wording import counted, duration, milliseconds
+from mbtool.master.wire import Heard, TcpWire
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
@@ -37,9 +39,10 @@ from mbtool.slave.families import make_device
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from mbtool.core import LinkSpec
+    from mbtool.core import LinkSpec, SerialFormat
     from mbtool.devices import Profile, Span
-    from mbtool.master.wire import Heard, Wire
+    from mbtool.master.wire import Wire
+    from mbtool.modbus.tables import Table
 
 _READS = {1: "6.1", 2: "6.2", 3: "6.3", 4: "6.4"}
 """The functions that read, and their sections of the Application Protocol V1.1b3."""
@@ -70,9 +73,24 @@ _PAUSES = 8
 times, a machine with 22 processes for 2 cores made a false one."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
+_ASCII_PAUSE_NS = 500_000_000
+"""A pause, in ns, that the standard allows inside a frame in ASCII: up to one second."""
+_RESOLUTION_NS = 1_000_000
+"""A USB adapter sends what it is given at most so much later (ns). A pause is only tested if it may
+be this much longer or shorter."""
+_CONNECTIONS = 8
+"""So many connections are opened at once."""
+SILENT_NS = 3_000_000_000
+"""A connection that is silent for this time (ns) must still be there, or have been closed."""
+_FREED_S = 0.1
+"""A slave has this time (s) to notice that connections were closed; several times over."""
 
 
+_MOST_LOST = 2
+"""On a serial line so many requests of a run may be lost, which are answered when they are asked
+again: noise, or a pause of a busy machine inside a request, loses one, too."""
 _ANSWERS = "the unit answers"
+_NO_ANSWER = "no answer"
 
 
 class Result(StrEnum):
@@ -114,8 +132,19 @@ class Conformance:
     """Runs the cases for one unit on a wire."""
 
     def __init__(
-        self, profile: Profile, link: LinkSpec, wire: Wire, unit: int, seed: int = 0
+        self,
+        profile: Profile,
+        link: LinkSpec,
+        wire: Wire,
+        unit: int,
+        seed: int = 0,
+        *,
+        silent_ns: int = SILENT_NS,
+        broadcasts: bool = False,
     ) -> None:
+        """With `broadcasts`, values are also written to all slaves of the line. A TCP connection is
+        left silent for `silent_ns` ns.
+        """
         self._profile = profile
         self._link = link
         self._wire = wire
@@ -127,7 +156,11 @@ class Conformance:
         self.report = TestReport()
         self._unanswered = 0
         """The number of requests without an answer since the last one."""
+        self._lost = 0
+        """The number of requests without an answer that were answered when asked again."""
         self._late_ns = _LATE_NS
+        self._silent_ns = silent_ns
+        self._broadcasts = broadcasts
 
     def run(
         self,
@@ -176,6 +209,9 @@ class Conformance:
             yield from self._frames(self._link)
         elif isinstance(self._link, TcpLink) and not self._link.rtu:
             yield from self._headers()
+        if isinstance(self._wire, TcpWire):
+            yield self.connections(self._wire)
+            yield self.after_silence(self._wire)
         for span in writes:
             yield from self._written(span)
 
@@ -224,11 +260,18 @@ class Conformance:
         begin_ns = time.monotonic_ns()
         heard = self._wire.send([sent])
         problem = self._problem(pdu, sent, heard, begin_ns)
-        if problem:
+        is_note = False
+        if problem.endswith(_NO_ANSWER) and isinstance(self._link, SerialLink):
+            again = self._wire.send([sent])
+            if again.raw and not self._problem(pdu, sent, again, time.monotonic_ns()):
+                problem += ", and the right one when it was asked again"
+                self._lost += 1
+                is_note = self._lost <= _MOST_LOST
+        elif problem:
             self._wire.renew()
         elif self._pauses(pdu, heard):
             problem = f"the answer pauses {milliseconds(heard.longest_pause_ns)} inside"
-        return _result(name, section, problem, sent, heard)
+        return _result(name, section, problem, sent, heard, is_note=is_note)
 
     def _pauses(self, pdu: bytes, heard: Heard) -> bool:
         """True if the answer pauses inside, and again each time that the request is repeated."""
@@ -305,20 +348,73 @@ class Conformance:
         yield self._silent("a read as broadcast", f"{where} 2.1", [self._wire.adu(0, self._good)])
         yield self._silent("half a frame", f"{where} 2.5.1.1", [good[: len(good) // 2]])
         middle = len(good) // 2
-        yield self._silent(
-            "a frame torn in two", f"{where} 2.5.1.1", [good[:middle], good[middle:]],
-            note="it takes two parts with a pause of t3.5 or more for one frame",
-            pause_ns=_TORN_NS,
-        )  # fmt: skip
+        halves = [good[:middle], good[middle:]]
         if not link.ascii:
+            yield self._silent(
+                "a frame torn in two", f"{where} 2.5.1.1", halves,
+                note="it takes two parts with a pause of t3.5 or more for one frame",
+                pause_ns=_TORN_NS,
+            )  # fmt: skip
+            yield from self.pauses_inside(link.format)
             foreign = self._wire.adu(other, bytes.fromhex("03 02 1234"))
             yield self._answered("a read behind an answer of another unit", f"{where} 2.4.1",
                                  [foreign, good])  # fmt: skip
             yield self._answered("a read behind a stray byte", f"{where} 2.5.1.1", [b"\xff", good])
         else:
+            name = f"a frame with a pause of {duration(_ASCII_PAUSE_NS)} inside"
+            yield self._answered(name, f"{where} 2.5.2.1", halves, _ASCII_PAUSE_NS)
             yield self._answered("a read behind half a frame", f"{where} 2.5.2.1", [b":01", good])
         for number in range(_QUICK_REQUESTS):
             yield self._case(f"quick request {number + 1}", f"{where} 2.5.1.1", self._good)
+
+    def pauses_inside(self, line: SerialFormat) -> Iterator[CaseResult]:
+        """Send requests with pauses below and above t1.5 inside, if a port can surely make them."""
+        good = self._wire.adu(self._unit, self._good)
+        halves = [good[: len(good) // 2], good[len(good) // 2 :]]
+        where = "Serial Line V1.02 2.5.1.1"
+        if line.t1_5_ns > 3 * _RESOLUTION_NS:
+            pause = line.t1_5_ns - 2 * _RESOLUTION_NS
+            name = "a frame with a pause of less than t1.5 inside"
+            yield self._with_pause(name, where, halves, pause, line.t1_5_ns - _RESOLUTION_NS)
+        if line.t3_5_ns - line.t1_5_ns > 2 * _RESOLUTION_NS:
+            pause = line.t1_5_ns + _RESOLUTION_NS
+            name = "a frame with a pause of more than t1.5 inside"
+            yield self._with_pause(
+                name, where, halves, pause, line.t3_5_ns - _RESOLUTION_NS // 2,
+                note="it takes two parts with a pause of more than t1.5 for one frame",
+            )  # fmt: skip
+
+    def _with_pause(
+        self,
+        name: str,
+        section: str,
+        halves: Sequence[bytes],
+        pause_ns: int,
+        most_ns: int,
+        note: str | None = None,
+    ) -> CaseResult:
+        """Send a right request with a pause inside; it must be answered, with `note` it must not.
+
+        A busy machine may make a pause longer than `most_ns` ns. What comes of it is not judged,
+        and it is sent again.
+        """
+        judged = 0
+        for _ in range(_PAUSES):
+            heard = self._wire.send(halves, pause_ns, awaited=note is None)
+            is_right = _is_right(heard, self._good) if note is None else not heard.raw
+            lasting = self._lasting_problem(forgiven=1)
+            is_made = heard.made_pause_ns <= most_ns
+            judged += is_made
+            if lasting or (is_made and is_right) or judged == _TRIES:
+                break
+        problem = ""
+        if is_made and not is_right:
+            wanted = _text(b"", self._good) if note is None else "no answer"
+            problem = f"expected {wanted}, got {self._shown(heard, self._good)}"
+        is_note = bool(problem) and note is not None and not lasting
+        texts = (problem, note if is_note else "", lasting)
+        told = ": ".join(text for text in texts if text)
+        return _result(name, section, told, b"".join(halves), heard, is_note=is_note)
 
     def _headers(self) -> Iterator[CaseResult]:
         where, good = "TCP guide V1.0b", self._good
@@ -349,6 +445,65 @@ class Conformance:
             yield self._silent(name, f"{where} 3.1.3", [raw])
             self._wire.renew()
 
+    def connections(self, wire: TcpWire) -> CaseResult:
+        """Open several connections at once and ask on each, and on all of them again.
+
+        The slave may refuse or close some. One that it keeps must be answered, and when all are
+        closed it must answer again.
+        """
+        name, section = f"{_CONNECTIONS} connections at once", "TCP guide V1.0b 4.2.1.2"
+        sent = wire.adu(self._unit, self._good)
+        opened: list[TcpWire] = []
+        problem, is_note = "", False
+        heard = wire.send([sent])
+        with ExitStack() as stack:
+            try:
+                for _ in range(_CONNECTIONS - 1):
+                    opened.append(stack.enter_context(wire.another()))
+            except LinkError:
+                pass  # The slave has a limit.
+            for number, one in enumerate([*opened, wire]):
+                if one.is_ended():
+                    continue
+                heard = one.send([sent])
+                if not heard.is_closed and not _is_right(heard, self._good):
+                    which = "the first" if one is wire else f"number {number + 2}"
+                    problem = (
+                        f"{which} of {len(opened) + 1} stays open, and a request on it got "
+                        f"{self._shown(heard, self._good)}"
+                    )
+                    is_note = one is not wire
+                    break
+            wire.close()
+        if is_note:
+            problem += ": it serves fewer connections than it accepts"
+        for _ in range(_RECOVERIES):
+            lasting = self._lasting_problem(forgiven=1)
+            if not lasting:
+                break
+            time.sleep(_FREED_S)
+        if lasting:
+            problem, is_note = f"{problem}; {lasting}".lstrip("; "), False
+        return _result(name, section, problem, sent, heard, is_note=is_note)
+
+    def after_silence(self, wire: TcpWire) -> CaseResult:
+        name, section = "a request after a silence", "TCP guide V1.0b 4.3.2"
+        silent = duration(self._silent_ns)
+        sent = wire.adu(self._unit, self._good)
+        wire.send([sent])
+        try:
+            is_open = wire.rest_silent(self._silent_ns)
+        except LinkError as error:
+            return _result(name, section, str(error), sent, Heard(b"", (), 0))
+        heard = wire.send([sent])
+        if not is_open or heard.is_closed or heard.was_closed:
+            problem = self._lasting_problem(forgiven=0)
+            note = f"it closes a connection that is silent for {silent}"
+            return _result(name, section, problem or note, sent, heard, is_note=not problem)
+        problem = self._unless_right(heard, sent)
+        problem = f"after {silent} of silence {problem}" if problem else ""
+        return _result(name, section, problem, sent, heard)
+
     def _silent(
         self,
         name: str,
@@ -373,10 +528,12 @@ class Conformance:
             problem, is_note = f"{problem}; {lasting}".lstrip("; "), False
         return _result(name, section, problem, b"".join(pieces), heard, is_note=is_note)
 
-    def _answered(self, name: str, section: str, pieces: Sequence[bytes]) -> CaseResult:
+    def _answered(
+        self, name: str, section: str, pieces: Sequence[bytes], pause_ns: int = _TORN_NS
+    ) -> CaseResult:
         """Send bytes whose last ones are a right request, with a pause before them."""
         for _ in range(_TRIES):
-            heard = self._wire.send(pieces, _TORN_NS)
+            heard = self._wire.send(pieces, pause_ns)
             problem = self._unless_right(heard, b"".join(pieces))
             if not problem:
                 break
@@ -411,7 +568,7 @@ class Conformance:
             return _text(heard.adus[0].pdu, pdu)
         if heard.raw:
             return self._wire.damage(heard.raw, pdu)
-        return "the end of the connection" if heard.is_closed else "no answer"
+        return "the end of the connection" if heard.is_closed else _NO_ANSWER
 
     # Writes, only where the user allows them.
 
@@ -422,6 +579,8 @@ class Conformance:
             before = self._value(reading, at)
             name = f"{writing:02X} {at}: write, read back, put back"
             section = f"V1.1b3 6.{writing}"
+            if before is not None and self._broadcasts:
+                yield self.broadcast(span.table, at, before)
             if before is None:
                 heard = self._wire.send([self._wire.adu(self._unit, _read(reading, at, 1))])
                 yield _result(name, section, "its value cannot be read", b"", heard)
@@ -442,6 +601,29 @@ class Conformance:
             if not problem and self._value(reading, at) != before:
                 problem = f"{before} could not be put back"
             yield _result(name, section, problem, sent, heard)
+
+    def broadcast(self, table: Table, at: int, before: int) -> CaseResult:
+        """Write to all slaves of the line, which must do it and must not answer; put the value
+        `before` back.
+        """
+        reading = READS_OF_TABLE[table]
+        writing = 5 if table.is_bits else 6
+        sent = self._wire.adu(0, _write(writing, at, before ^ 1))
+        try:
+            heard = self._wire.send([sent], awaited=0)
+            after = self._value(reading, at)
+        finally:
+            back = self._wire.send([self._wire.adu(0, _write(writing, at, before))], awaited=0)
+        problem = ""
+        if heard.raw or back.raw:
+            shown = self._shown(heard if heard.raw else back, _write(writing, at, before ^ 1))
+            problem = f"expected no answer, got {shown}"
+        elif after != before ^ 1:
+            problem = f"expected {before ^ 1} to be read back, got {after}"
+        elif (after := self._value(reading, at)) != before:
+            problem = f"expected {before} to be put back, got {after}"
+        name = f"{writing:02X} {at}: write as broadcast"
+        return _result(name, "Serial Line V1.02 2.1", problem, sent, heard)
 
     def _value(self, reading: int, at: int) -> int | None:
         heard = self._wire.send([self._wire.adu(self._unit, _read(reading, at, 1))])

@@ -85,7 +85,8 @@ class Finder:
         self._pending[key] = place
         self._last[key] = row
 
-    def _words(self) -> list[WordsOfSlave]:
+    def words(self) -> list[WordsOfSlave]:
+        """Return the words of all slaves so far; what comes later does not change them."""
         found = []
         for slave in self.slaves.slaves:
             exact: dict[int, list[WordHistory]] = {}
@@ -109,11 +110,11 @@ class Finder:
 
     def places(self, wanted: Sequence[Wanted]) -> list[list[FoundPlace]]:
         """Return the places of each number, the most probable first."""
-        return find(wanted, self._words())
+        return find(wanted, self.words())
 
     def changed(self, begin_ns: int, end_ns: int) -> list[ChangedPlace]:
         """Return the values that are others after `end_ns` than before `begin_ns` (UTC ns)."""
-        return find_changed(self._words(), begin_ns, end_ns)
+        return find_changed(self.words(), begin_ns, end_ns)
 
     def slave_of(self, text: str) -> ObservedSlave:
         """The slave with this name in a found place."""
@@ -210,8 +211,10 @@ class LiveFinder:
         ]
 
     def places(self) -> list[list[FoundPlace]]:
-        """Return the places of each number so far; the caller holds `lock`."""
-        return self.finder.places(self.wanted)
+        """Return the places of each number so far; the links are heard meanwhile."""
+        with self.lock:
+            words = self.finder.words()
+        return find(self.wanted, words)
 
     def _main(self) -> None:
         try:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.devices import builtin_profiles, load_profile
+from mbtool.ledger.advice import advice_of
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import inventory
 from mbtool.ledger.statistics_report import is_counted_together
@@ -236,6 +237,7 @@ class ReportRun:
             number_lacking=self._number_lacking,
             comparison=comparison,
             words=self._words,
+            advice=advice_of(links, lambda name: self.account.links[name].format, profiles.get),
         )
 
     def _origin(self, file: str) -> FileOrigin:

@@ -2,7 +2,7 @@
 
 For each kind of input it prints the processor seconds of a MB, the memory, and how many times the
 price of an ordinary MB this is. `--scale N` makes every input N times as large: the price of a byte
-should stay the same. Each input is decoded in a process of its own.
+should stay the same. Each input is decoded in a process of its own, which also holds the file.
 """
 
 # A price counts bytes of the file, and all of the work: reading, decoding and naming. The tests
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import io
 import random
-import resource
 import struct
 import subprocess
 import sys
@@ -26,11 +25,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
 
+from mbtool.core import SerialFormat
 from mbtool.core.errors import MbtoolError
+from mbtool.decode import Bus
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.logs import LogReader
-from mbtool.modbus import mbap_adu
+from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.packets.capture import read_capture
 from mbtool.packets.segment import ACK, SYN
 from tests.packets.building import End, Talk, pcap
@@ -184,6 +185,80 @@ def chat(size: int) -> bytes:
     return pcap(packets)
 
 
+def ordinary_line(size: int) -> bytes:
+    """Polls of three units on a serial line."""
+    rng, sent = random.Random(1), []
+    for number in range(size):
+        unit, address = 1 + number % 3, 16 * (number % 7)
+        sent.append(rtu_adu(unit, struct.pack(">BHH", 3, address, 10)))
+        sent.append(rtu_adu(unit, bytes([3, 20]) + rng.randbytes(20)))
+    return b"".join(sent)
+
+
+def one_write(size: int) -> bytes:
+    """One write and its echo, again and again."""
+    return _write(1, 3) * size
+
+
+def unechoed_writes(size: int) -> bytes:
+    """Writes to seven units that nobody echoes."""
+    return b"".join(_write(1 + number % 7, number) for number in range(size))
+
+
+def unechoed_set_points(size: int) -> bytes:
+    """Writes of another value each to one unit, without echoes: each may be a wrong echo."""
+    return b"".join(_write(1, number) for number in range(size))
+
+
+def equal_writes(size: int) -> bytes:
+    """Writes to silent units, three times each: a write with its echo, or retries."""
+    return b"".join(_write(1 + number // 3 % 9, 3) for number in range(size))
+
+
+def scan(size: int) -> bytes:
+    """The loopback test of all units, which differs from its response by nothing but its time."""
+    test = bytes.fromhex("08 0000 A537")
+    return b"".join(rtu_adu(1 + number % 247, test) for number in range(size))
+
+
+def unknown_function(size: int) -> bytes:
+    """A request of an unknown function again and again: nothing but its CRC tells its end."""
+    return rtu_adu(1, bytes.fromhex("5A 01 02 03 04 05")) * size
+
+
+def unknown_pairs(size: int) -> bytes:
+    """Requests and responses of an unknown function."""
+    return b"".join(
+        rtu_adu(1, b"\x5a\1\2\3\4" + bytes([number % 256]))
+        + rtu_adu(1, b"\x5a\1\2\3\4\xaa\xbb" + bytes([number * 7 % 256]))
+        for number in range(size)
+    )
+
+
+def random_frames(size: int) -> bytes:
+    """Random bytes with a correct CRC behind each group of 3 to 41."""
+    rng = random.Random(1)
+    return b"".join(
+        rtu_adu(rng.randrange(256), rng.randbytes(rng.randint(2, 40))) for _ in range(size)
+    )
+
+
+def random_functions(size: int) -> bytes:
+    """Frames of one unit with random functions."""
+    rng = random.Random(1)
+    return b"".join(rtu_adu(1, rng.randbytes(rng.randint(2, 12))) for _ in range(size))
+
+
+def heads(size: int) -> bytes:
+    """The heads of long responses, each before a write that its registers may contain."""
+    return b"".join(bytes([1, 3, 240]) + _write(1, number) for number in range(size))
+
+
+def random_line(size: int) -> bytes:
+    """Random bytes."""
+    return random.Random(1).randbytes(size)
+
+
 def ordinary_log(size: int) -> bytes:
     """The log that `convert` makes of ordinary traffic."""
     with tempfile.TemporaryDirectory() as folder:
@@ -226,6 +301,10 @@ class Input(NamedTuple):
     any_port: bool = False
 
 
+LINE = "ordinary line"
+FORMAT = SerialFormat(9600, 8, "E", 1)
+READ_SIZE = 1024
+
 INPUTS = {
     "ordinary": Input(ordinary, 10_000, "ordinary"),
     "almost Modbus": Input(almost_modbus, 20_000, "ordinary"),
@@ -237,9 +316,21 @@ INPUTS = {
     "requests only, 100 a segment": Input(many_in_a_segment, 50_000, "ordinary"),
     "pipelined with one id": Input(pipelined, 10_000, "ordinary"),
     "pipelined with one id, with loss": Input(lossy_pipelined, 10_000, "ordinary"),
-    "connections with a request": Input(connections, 16_000, "ordinary"),
+    "connections with a request": Input(connections, 65_535, "ordinary"),
     "holes": Input(holes, 10_000, "ordinary"),
     "another protocol, any port": Input(chat, 5_000, "ordinary", any_port=True),
+    "ordinary line": Input(ordinary_line, 10_000, LINE),
+    "line: one write and its echo": Input(one_write, 20_000, LINE),
+    "line: writes without echoes": Input(unechoed_writes, 20_000, LINE),
+    "line: set points without echoes": Input(unechoed_set_points, 20_000, LINE),
+    "line: equal writes, silent units": Input(equal_writes, 20_000, LINE),
+    "line: loopback test of all units": Input(scan, 20_000, LINE),
+    "line: one unknown function": Input(unknown_function, 20_000, LINE),
+    "line: pairs of an unknown function": Input(unknown_pairs, 10_000, LINE),
+    "line: random frames": Input(random_frames, 6_000, LINE),
+    "line: random functions": Input(random_functions, 15_000, LINE),
+    "line: heads before writes": Input(heads, 15_000, LINE),
+    "line: random bytes": Input(random_line, 150_000, LINE),
     "ordinary log": Input(ordinary_log, 10_000, "ordinary log"),
     "chunks that unpack 1:1000": Input(bombs, 600, "ordinary log"),
     "chunks of empty records": Input(empty_records, 1_000, "ordinary log"),
@@ -259,20 +350,32 @@ def run(name: str, data: bytes) -> int:
         except MbtoolError:
             pass
         return count
+    if given.basis == LINE:
+        bus = Bus("line", FORMAT, timed=False)
+        for at in range(0, len(data), READ_SIZE):
+            count += len(bus.feed(data[at : at + READ_SIZE], at * FORMAT.character_ns + 1))
+        return count + len(bus.close())
     decoder = Decoder(Namer(), ports=(502,), any_port=given.any_port)
     for packet in read_capture(io.BytesIO(data)):
         count += len(decoder.feed(packet))
     return count + len(decoder.close())
 
 
-def price_of(name: str, scale: float = 1.0) -> Price:
-    """Decode an input in this process."""
-    given = INPUTS[name]
-    data = given.make(max(1, int(given.usual_size * scale)))
+def price_of(name: str, path: Path) -> Price:
+    """Decode an input that a file has, in this process."""
+    data = path.read_bytes()
     before_s = time.process_time()
     run(name, data)
     seconds = time.process_time() - before_s
-    return Price(len(data), seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+    return Price(len(data), seconds, _most_memory())
+
+
+def _most_memory() -> int:
+    """The most memory of this process so far, in bytes. (ru_maxrss begins with that of its parent,
+    which has made the input.)
+    """
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024
 
 
 def _polls(size: int) -> list[Packet]:
@@ -282,6 +385,10 @@ def _polls(size: int) -> list[Packet]:
         packets.append(talk.request(mbap_adu(number & 0xFFFF, 1, READ)))
         packets.append(talk.response(mbap_adu(number & 0xFFFF, 1, VALUES)))
     return packets
+
+
+def _write(unit: int, value: int) -> bytes:
+    return rtu_adu(unit, struct.pack(">BHH", 6, 1, value & 0xFFFF))
 
 
 def _log(chunks: list[bytes], stated: int | None = None) -> bytes:
@@ -319,11 +426,11 @@ def _text(text: str) -> bytes:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scale", type=float, default=1.0)
-    parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("name", nargs="*", help=", ".join(INPUTS))
     given = parser.parse_args()
     if given.inside:
-        print(*price_of(given.name[0], given.scale))
+        print(*price_of(given.name[0], given.inside))
         return
     if unknown := set(given.name) - INPUTS.keys():
         parser.error(f"no input {', '.join(sorted(unknown))}; there are {', '.join(INPUTS)}")
@@ -332,10 +439,11 @@ def main() -> None:
     print(f"{'input':36}{'MB':>8}{'s':>8}{'s a MB':>9}{'times':>8}{'MB memory':>11}")
     prices: dict[str, float] = {}
     for name in names:
-        command = [sys.executable, "-m", "tests.adversary.prices", "--inside", name]
-        done = subprocess.run(
-            [*command, "--scale", str(given.scale)], stdout=subprocess.PIPE, text=True, check=True
-        )
+        with tempfile.NamedTemporaryFile() as file:
+            file.write(INPUTS[name].make(max(1, int(INPUTS[name].usual_size * given.scale))))
+            file.flush()
+            command = [sys.executable, "-m", "tests.adversary.prices", "--inside", file.name, name]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         size, seconds, memory = (float(word) for word in done.stdout.split())
         prices[name] = seconds / size
         times = prices[name] / prices[INPUTS[name].basis]

@@ -96,6 +96,13 @@ def test_all_pairs_of_a_capture_without_loss_are_joined(master: str) -> None:
     assert (counts["missing"], counts["undecidable"]) == (0, 0)
 
 
+def test_a_late_response_and_lost_ones_shift_no_later_pair() -> None:
+    """A master with one id that takes a late response for the next one is always one ahead."""
+    simulated = simulate("connections", ("several lost", "retransmitted"), 20, 60)
+    found = judged(decode(simulated.packets), simulated.truth)
+    assert (found.wrong, found.blamed, found.unasked) == ([], [], [])
+
+
 def test_all_but_one_in_a_thousand_pairs_are_joined() -> None:
     counts = [counted(*cell) for cell in CELLS]
     pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
@@ -108,14 +115,15 @@ def test_few_pairs_that_can_be_known_are_told_as_ambiguous() -> None:
     counts = [counted(*cell) for cell in CELLS]
     pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
     # Of a pipelining master with one id, most pairs behind two losses cannot be proved.
-    assert sum(one["doubtful"] for one in counts) <= pairs / 200
+    assert sum(one["doubtful"] for one in counts) <= pairs / 220
 
 
 def test_nearly_everything_can_be_known() -> None:
     """A plant of which little can be known would test little."""
     counts = [counted(*cell) for cell in CELLS]
     assert (
-        sum(one["undecidable"] for one in counts) < sum(one["transactions"] for one in counts) / 100
+        sum(one["undecidable"] for one in counts)
+        < sum(one["transactions"] for one in counts) / 2000
     )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.adversary.prices import INPUTS, run
+from tests.adversary.prices import INPUTS, LINE, run
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -39,6 +39,21 @@ def counted(name: str, size: int) -> tuple[int, int]:
     return count, len(data)
 
 
+SERIAL = {
+    name: 8_000 if name == "line: random bytes" else 800
+    for name, one in INPUTS.items()
+    if one.basis == LINE
+}
+"""Each input of a serial line, with a size of about 8 KB; the most calls are taken at its
+beginning, until the line is known to be in doubt."""
+DEAR = {
+    "line: set points without echoes": 18,
+    "line: one unknown function": 16,
+    "line: pairs of an unknown function": 22,
+    "line: random functions": 12,
+    "line: heads before writes": 32,
+}
+"""Inputs that cost more than MOST_TIMES."""
 NETWORK = [name for name, one in INPUTS.items() if one.basis == "ordinary"]
 
 
@@ -47,6 +62,21 @@ def test_calls_grow_no_faster_than_the_input(name: str) -> None:
     few, few_bytes = counted(name, 4 * USUAL)
     many, many_bytes = counted(name, 8 * USUAL)
     assert many / few <= 1.2 * many_bytes / few_bytes
+
+
+@pytest.mark.parametrize("name", SERIAL)
+def test_calls_for_a_line_grow_no_faster_than_the_input(name: str) -> None:
+    few, few_bytes = counted(name, SERIAL[name])
+    many, many_bytes = counted(name, 2 * SERIAL[name])
+    assert many / few <= 1.2 * many_bytes / few_bytes
+
+
+@pytest.mark.parametrize("name", SERIAL)
+def test_a_byte_of_a_line_takes_a_bounded_number_of_calls(name: str) -> None:
+    """A search on a line in long doubt keeps one explanation, so that its price has a bound."""
+    count, size = counted(name, 2 * SERIAL[name])
+    ordinary, ordinary_size = counted("ordinary line", 1000)
+    assert count / size <= DEAR.get(name, MOST_TIMES) * ordinary / ordinary_size
 
 
 @pytest.mark.parametrize("name", NETWORK)

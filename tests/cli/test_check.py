@@ -9,6 +9,7 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.cli.main import run
+from tests.captures import public_folder
 from tests.columns.test_equality import poll
 from tests.packets.building import Talk, pcap
 
@@ -65,6 +66,17 @@ def test_requests_without_a_good_answer_are_told_though_they_break_no_rule(
     assert json.loads(told.read_text())["failed_requests"] == {
         "late": 0, "no_answer": 1, "wrong_crc": 0, "exception": 5, "malformed": 0,
     }  # fmt: skip
+
+
+@pytest.mark.public_captures
+def test_notes_are_said_to_leave_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    path = public_folder() / "yakuter__go-dpi-packet/modbus.pcap"
+    if not path.exists():
+        pytest.skip("no captures of others")
+    assert run(["check", str(path)]) == exit_codes.DONE
+    assert capsys.readouterr().err.startswith(
+        "1 trouble of severity note (exit code 0) in 1 transaction;"
+    )
 
 
 def test_each_finding_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -106,10 +106,31 @@ def test_a_connection_is_undecided_for_so_many_bytes(
 @pytest.mark.parametrize(("more", "state"), [(0, UNDECIDED), (1, FOREIGN)])
 def test_a_gap_counts_as_64_bytes(more: int, state: ProtocolState) -> None:
     detector = anywhere(joined=True)
-    assert detector.gap(REQUEST, 1, 0) == detector.gap(RESPONSE, 1000, 0) == []
-    room = 2048 - 2 * 64 - 1
+    for missing in range(12):
+        assert detector.gap(REQUEST, missing, 0) == detector.gap(RESPONSE, 1000, 0) == []
+    room = 2048 - 24 * 64 - 1
     fed(detector, [(REQUEST, NOISE * (room + more))])
     assert detector.state is state
+
+
+@pytest.mark.parametrize("way", [REQUEST, RESPONSE])
+@pytest.mark.parametrize(("size", "state"), [(519, UNDECIDED), (520, FOREIGN)])
+def test_elsewhere_noise_of_either_direction_speaks_against_modbus_tcp(
+    way: Direction, size: int, state: ProtocolState
+) -> None:
+    detector = anywhere(joined=True)
+    half = size // 2
+    fed(detector, [(way, NOISE * half), (way, NOISE * (size - half))])
+    assert detector.state is state
+
+
+def test_elsewhere_the_rests_of_two_long_adus_do_not_speak_against_modbus_tcp() -> None:
+    rest = mbap_adu(1, 1, bytes([3, 250]) + b"\x01" * 250)[6:]
+    detector = anywhere(joined=True)
+    said: list[Piece] = [(RESPONSE, rest), (REQUEST, mbap_adu(2, 1, READ))]
+    decoded = fed(detector, [*said, (RESPONSE, rest[200:]), *said[1:], *said[1:]])
+    assert detector.state is MODBUS
+    assert [one.transaction_id for one in adus(decoded)] == [2, 2, 2]
 
 
 def test_bytes_behind_the_limit_are_decoded_if_the_last_ones_before_it_decide() -> None:

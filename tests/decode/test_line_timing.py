@@ -130,10 +130,15 @@ def test_a_line_is_decoded_with_its_own_silences() -> None:
         assert isinstance(record, NamedTransaction)
         return record.verdicts
 
-    assert verdicts(LINE, LineTiming()) == [Verdict.SPLIT, Verdict.CAPTURE_END]
-    assert verdicts(LINE, LineTiming(t1_5=nine, t3_5=nine)) == [Verdict.CAPTURE_END]
+    assert verdicts(LINE, LineTiming()) == [
+        Verdict.SPLIT, Verdict.AMBIGUOUS, Verdict.CAPTURE_END,
+    ]  # fmt: skip
+    assert verdicts(LINE, LineTiming(t1_5=nine, t3_5=nine)) == [
+        Verdict.AMBIGUOUS,
+        Verdict.CAPTURE_END,
+    ]
     line = replace(LINE, format=LINE.format.with_silences(nine, nine))
-    assert verdicts(line, LineTiming()) == [Verdict.CAPTURE_END]
+    assert verdicts(line, LineTiming()) == [Verdict.AMBIGUOUS, Verdict.CAPTURE_END]
 
 
 def test_a_log_is_decoded_with_other_silences_only_from_its_raw_bytes(tmp_path: Path) -> None:
@@ -154,4 +159,4 @@ def test_a_log_is_decoded_with_other_silences_only_from_its_raw_bytes(tmp_path: 
     ):
         (record,) = Reading([str(path)], options).records()
         assert isinstance(record, NamedTransaction)
-        assert record.verdicts == [*verdict, Verdict.CAPTURE_END]
+        assert record.verdicts == [*verdict, Verdict.AMBIGUOUS, Verdict.CAPTURE_END]

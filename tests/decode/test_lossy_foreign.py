@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import random
+import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +13,12 @@ import pytest
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.pairing_readings import PairReading
 from mbtool.devices import Namer
-from tests.packets.building import End, Talk
+from mbtool.packets.capture import read_capture
+from tests.packets.building import End, Talk, pcap
 
 if TYPE_CHECKING:
+    from types import FrameType
+
     from mbtool.core import Packet
 
 PORT = 5222
@@ -56,3 +61,32 @@ def test_ways_to_pair_are_copied_in_proportion_to_the_packets(
         decoder.feed(packet)
     decoder.close()
     assert copies <= COPIES_A_PACKET * len(packets)
+
+
+def calls(data: bytes, *, any_port: bool) -> int:
+    """The number of function calls that reading and decoding a capture takes."""
+    count = 0
+
+    def on_call(_frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    decoder = Decoder(Namer(), any_port=any_port)
+    before = sys.getprofile()
+    sys.setprofile(on_call)
+    try:
+        for packet in read_capture(io.BytesIO(data)):
+            decoder.feed(packet)
+        decoder.close()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.parametrize("count", [400, 800, 1600, 6400])
+def test_any_port_takes_at_most_three_times_the_calls_of_a_port_that_is_not_decoded(
+    count: int,
+) -> None:
+    data = pcap(chat(count))
+    calls(pcap(chat(8)), any_port=True)  # What is imported and made once is not counted.
+    assert calls(data, any_port=True) <= 3 * calls(data, any_port=False)

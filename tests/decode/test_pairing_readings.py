@@ -330,15 +330,32 @@ def test_a_request_that_is_sent_again_was_given_up(
 ) -> None:
     of = reading(request(1))
     again = asked(pdu, 11 + after_ms, 3)
-    give_up_repeated([of], again)
+    give_up_repeated([of], MasterHabits(), again)
     assert (1 in of.given_up) is is_given_up
     for other in (reading(request(1), request(2)), reading(request(1, None)), reading()):
-        give_up_repeated([other], again)
+        give_up_repeated([other], MasterHabits(), again)
         assert not other.given_up
     behind = reading(request(1))
     behind.behind_others = {1}
-    give_up_repeated([behind], again)
+    give_up_repeated([behind], MasterHabits(), again)
     assert not behind.given_up
+
+
+@pytest.mark.parametrize("field", ["last_response_ns", "lost_response_ns"])
+def test_a_master_that_has_a_response_does_not_give_up_what_it_asks_again(field: str) -> None:
+    again, habits = asked(ONE, 60, 3), known()
+    for at_ms, is_given_up in ((9, True), (30, False)):
+        of = reading(request(1))
+        setattr(habits, field, at_ms * MS)
+        give_up_repeated([of], habits, again)
+        assert (1 in of.given_up) is is_given_up
+
+
+def test_a_wait_counts_from_a_response_that_the_capture_lacks() -> None:
+    habits = known()
+    assert costs(reading(request(1)), VALUE, 100, habits) == {1: TOO_SLOW}
+    habits.lost_response_ns = 90 * MS
+    assert costs(reading(request(1)), VALUE, 100, habits) == {1: 0.0}
 
 
 @pytest.mark.parametrize("is_sequential", [False, True])

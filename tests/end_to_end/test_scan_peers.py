@@ -23,7 +23,9 @@ TABLES = ("holding_registers", "input_registers", "coils", "discrete_inputs")
 
 
 def scanned(*words: str) -> list[dict[str, Any]]:
-    text = run_mbtool("scan", *words, "--format", "jsonl", "--rate", "2000")
+    # A slave on a busy machine may take more than the 0.3 s that scan waits by itself.
+    more = () if "--timeout" in words else ("--timeout", "2")
+    text = run_mbtool("scan", *words, *more, "--format", "jsonl", "--rate", "2000")
     return [json.loads(line) for line in text.splitlines()]
 
 

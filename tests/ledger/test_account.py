@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, SerialFormat, WireEvent
 from mbtool.ledger import account as module
-from mbtool.ledger import request_order
+from mbtool.ledger import poll_statistics, request_order
 from mbtool.ledger.account import Account
 from mbtool.ledger.statistics_report import LinkReport, is_counted_together, report
 from mbtool.modbus import Outcome, Transport
@@ -232,6 +232,11 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     assert len(account.tapes) == 5
     assert len(account.connections) == 7
     assert len(account._order._waiting) <= 32
+    taped = {poll for tape in account.tapes.values() for poll in tape._polls}
+    given_up = taped - set(account.polls.values())
+    assert given_up
+    assert {id(poll.tally) for poll in given_up} == {id(poll_statistics._GIVEN_UP)}
+    assert not poll_statistics._GIVEN_UP.transactions
     total = sum(link.tally.transactions for link in report(account))
     assert total == account.transactions == 2000
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.ledger.account import Account
-from mbtool.ledger.advice import CycleAdvice, advise
+from mbtool.ledger.advice import CycleAdvice, advise, forecast
 from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
 from tests.ledger.masters import MS, START_NS
@@ -118,3 +118,18 @@ def test_the_limits_of_the_standard_and_of_a_profile_are_kept() -> None:
     assert advice_on(polled([(0, 100), (100, 100)])) is None
     assert advice_on(polled([(0, 4), (4, 4)]), limit=6) is None
     assert advice_on(polled([(0, 4), (4, 4)]), limit=8) is not None
+
+
+@pytest.mark.parametrize("wait_ms", [0, 400])
+def test_a_faster_line_shortens_only_the_characters_and_a_unit_more_costs_its_share(
+    wait_ms: int,
+) -> None:
+    account = polled([(0, 2), (2, 4)], wait_ms=wait_ms)
+    account.settle()
+    (link,) = report(account)
+    (one,) = link.masters[0].lists.lists
+    characters = {id(step.poll): 10e6 for step in one.steps}
+    found = forecast(one, 9600, characters)
+    assert found.at_bauds == ((19200, 10_000_000), (38400, 15_000_000))
+    assert (found.units, found.waits) == (1, wait_ms > 0)
+    assert found.with_unit_ns == pytest.approx(found.busy_ns + PAUSE_MS * MS, rel=0.01)

@@ -182,6 +182,39 @@ def test_bytes_of_others_beside_our_request_shorten_the_pause() -> None:
     other, now_ns = heard(link, 6)
     assert other.longest_pause_ns > 300 * MS
     other.note_our_request()
+    other.note_intrusion(now_ns + 110 * MS, 250 * MS)  # A busy machine read them late.
+    assert other.longest_pause_ns > 300 * MS
+    now_ns = frames(other, link, now_ns + 420 * MS, (READ_1, 0), (ANSWER_1, 5), (READ_2, 20),
+                    (ANSWER_2, 8))  # fmt: skip
+    other.note_our_request()
     other.note_intrusion(now_ns + 120 * MS)
     assert other.longest_pause_ns == pytest.approx(0.9 * 120 * MS)
     assert other.rest_ns(now_ns + 130 * MS) == 0
+
+
+def test_bytes_that_were_read_late_tell_nothing_of_a_pause() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    known_ns, period_ns = other.longest_pause_ns, other.polls[READ_1].shortest_period_ns
+    # A busy machine: the request seems to come after 50 ms, and may have come up to 350 ms later.
+    now_ns += 50 * MS
+    other.feed(READ_1, now_ns, 350 * MS)
+    cycle = ((ANSWER_1, 5), (READ_2, 20), (ANSWER_2, 8), (READ_1, 400))
+    now_ns = frames(other, link, now_ns + 350 * MS, *cycle, *cycle[:3])
+    assert other.longest_pause_ns == known_ns
+    assert other.polls[READ_1].shortest_period_ns == period_ns
+    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+
+
+def test_a_unit_that_may_still_answer_the_other_master_is_not_asked() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    # Unit 1 does not answer, then answers the request before in place of the present one.
+    cycle = ((READ_1, 400), (READ_2, 20), (ANSWER_2, 8))
+    now_ns = frames(other, link, now_ns, *cycle)
+    assert other.rest_ns(now_ns + 4 * MS, unit=2) > 0
+    assert other.rest_ns(now_ns + 4 * MS, unit=1) == 0
+    late = rtu_adu(1, bytes.fromhex("03 02 0001"))
+    for answer, is_free in ((late, False), (ANSWER_1, False), (ANSWER_1, True)):
+        now_ns = frames(other, link, now_ns, (READ_1, 400), (answer, 5), *cycle[1:])
+        assert (other.rest_ns(now_ns + 4 * MS, unit=1) > 0) == is_free

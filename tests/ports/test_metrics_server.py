@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import socket
 import time
 import urllib.error
@@ -11,6 +12,7 @@ import pytest
 
 from mbtool.core import Endpoint, LinkError, UsageError
 from mbtool.ports.metrics_server import CONTENT_TYPE, MAX_FETCHING, MetricsServer, parse_place
+from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
 PATIENCE_S = 20.0
 LOOPBACK = Endpoint("127.0.0.1", 0)
@@ -68,6 +70,33 @@ def test_a_client_that_sends_a_byte_now_and_then_is_closed(monkeypatch: pytest.M
                 except ConnectionError:
                     answered = b""
             assert answered == b""
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_an_address_that_others_can_reach_needs_the_option(host: str) -> None:
+    with (
+        pytest.raises(UsageError, match=r"^--metrics .* other machines can reach .*--allow"),
+        MetricsServer(Endpoint(host, 0)),
+    ):
+        pass
+
+
+def test_a_machine_that_is_not_allowed_is_closed_without_an_answer() -> None:
+    allowed = AllowedPeers.parse(["192.0.2.0/24"])
+    with MetricsServer(Endpoint("0.0.0.0", 0), allowed) as server:
+        assert server._server is not None
+        assert server._server.verify_request(None, ("192.0.2.7", 1))  # type: ignore[arg-type]
+        assert server._server.verify_request(None, ("127.0.0.1", 1))  # type: ignore[arg-type]
+        assert not server._server.verify_request(None, ("198.51.100.7", 1))  # type: ignore[arg-type]
+
+
+def test_connections_that_come_too_fast_are_closed_without_an_answer() -> None:
+    allowed = AllowedPeers(limits=ConnectionLimits(per_second=0.001))
+    with MetricsServer(LOOPBACK, allowed) as server:
+        with urllib.request.urlopen(f"http://{server.place}/metrics", timeout=30) as answer:
+            assert answer.read() == b"# EOF\n"
+        with pytest.raises((urllib.error.URLError, ConnectionError, http.client.HTTPException)):
+            urllib.request.urlopen(f"http://{server.place}/metrics", timeout=30)
 
 
 def test_an_address_of_ipv6_is_served() -> None:

@@ -23,6 +23,10 @@ def test_masters_meet_tls_1_2_or_better_and_need_no_certificate() -> None:
     assert context.verify_mode is ssl.CERT_NONE
 
 
+def test_no_master_can_renegotiate() -> None:
+    assert server_context(ListenTls(SLAVE)).options & ssl.OP_NO_RENEGOTIATION
+
+
 def test_with_a_ca_masters_need_a_certificate() -> None:
     assert server_context(ListenTls(SLAVE, ca=CA)).verify_mode is ssl.CERT_REQUIRED
 

@@ -9,6 +9,7 @@ import pytest
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
+from mbtool.modbus.adu import crc as _crc
 from tests.feeding import Line
 
 if TYPE_CHECKING:
@@ -174,7 +175,9 @@ def test_response_that_an_adapter_merges_with_its_request_is_sure_beside_short_s
         now_ns += 36 * MS
         reads.append((rtu_adu(unit, bytes.fromhex("08 0000 A537")) * 2, now_ns))
     scanned = transactions(heard(reads), 0x08)
-    assert [(one.outcome, one.confidence >= 0.8) for one in scanned] == [(Outcome.OK, True)] * 28
+    assert [one.outcome for one in scanned] == [Outcome.OK] * 28
+    # Three short silences between bursts show that the adapter does not merge for long.
+    assert [one.confidence >= 0.8 for one in scanned] == [False] * 3 + [True] * 25
 
 
 def test_write_merged_with_its_response_on_a_slow_line_is_no_sure_retry() -> None:
@@ -198,3 +201,94 @@ def test_an_echo_later_than_any_response_heard_is_ambiguous_also_at_the_beginnin
     first, second = [one for one in [*decoded, *bus.close()] if isinstance(one, Transaction)]
     assert (first.unit, Verdict.AMBIGUOUS in first.verdicts) == (0x18, False)
     assert (second.unit, Verdict.AMBIGUOUS in second.verdicts) == (5, True)
+
+
+def test_write_loop_slower_than_its_pauses_is_right_once_a_read_tells_the_direction() -> None:
+    """Until then the directions may be reversed, and nothing is learned from the frames."""
+    line = Line(FORMAT)
+    for number in range(50):
+        line.frame(WRITE, 9 * MS).frame(WRITE, (15 + number % 7) * MS)
+    line.frame(READ, 9 * MS).frame(ANSWER, 15 * MS)
+    for number in range(50):
+        line.frame(WRITE, 9 * MS).frame(WRITE, (15 + number % 7) * MS)
+    writes = [one for one in heard(line.reads()) if isinstance(one, Adu) and one.raw == WRITE]
+    assert all(one.confidence < 0.8 for one in writes[2:99])
+    assert [one.direction for one in writes[100:]] == [REQUEST, RESPONSE] * 50
+
+
+def test_request_behind_an_answered_retry_is_no_second_response() -> None:
+    """It comes when this master goes on; a slave would answer a second time at once."""
+    line = polls(Line(FORMAT), 60).frame(WRITE, 30 * MS).frame(WRITE, 250 * MS)
+    line.frame(WRITE, 7 * MS)
+    for _ in range(10):
+        line.frame(WRITE, 30 * MS).frame(WRITE, 7 * MS)
+    truth = [REQUEST, REQUEST, RESPONSE, *[REQUEST, RESPONSE] * 10]
+    decoded = heard(polls(line, 3).reads())
+    told = [one for one in decoded if isinstance(one, Adu) and one.raw == WRITE]
+    for one, direction in zip(told, truth, strict=True):
+        assert one.direction is direction or one.confidence < 0.8
+    assert [one.direction for one in told[4:]] == truth[4:]
+
+
+def test_loop_of_an_odd_number_of_writes_is_the_surer_the_earlier_without_times() -> None:
+    """One of eleven requests has no response, and nothing tells which."""
+    line = polls(Line(FORMAT), 20)
+    for _ in range(21):
+        line.frame(WRITE, 30 * MS)
+    decoded = heard([(bytes(polls(line, 5).data), 1)], timed=False)
+    told = [one for one in decoded if isinstance(one, Adu) and one.raw == WRITE]
+    assert [one.direction for one in told] == [*[REQUEST, RESPONSE] * 10, REQUEST]
+    echoes = [one.confidence for one in told[1::2]]
+    assert echoes == sorted(echoes, reverse=True)
+    assert echoes[0] > 0.9
+    assert echoes[-1] < 0.2
+
+
+def test_merged_write_of_several_values_that_comes_twice_is_ambiguous() -> None:
+    """Some slaves repeat the whole request, and an adapter that merges hides the time between."""
+    write = rtu_adu(1, bytes.fromhex("10 0010 0001 02 1234"))
+    line = polls(Line(FORMAT), 20)
+    reads = line.reads()
+    now_ns = reads[-1][1] + 30 * MS
+    reads += [(write + write, now_ns), (READ + ANSWER, now_ns + 40 * MS)]
+    _, second = (one for one in heard(reads) if isinstance(one, Adu) and one.raw == write)
+    assert second.confidence < 0.8
+    assert all(one.confidence < 0.8 for one in transactions(heard(reads), 0x10))
+
+
+def test_copy_of_a_write_of_several_values_does_not_end_the_echo_of_an_adapter() -> None:
+    write, done = (
+        rtu_adu(1, bytes.fromhex(pdu)) for pdu in ("10 0010 0001 02 1234", "10 0010 0001")
+    )
+    reads, now_ns = [], 0
+    for request, response in [(READ, ANSWER)] * 2 + [(write, done)] + [(READ, ANSWER)] * 5:
+        now_ns += 40 * MS
+        reads.append((request + request + response, now_ns))
+    kinds = [str(one.kind) for one in heard(reads) if hasattr(one, "kind")]
+    assert kinds.count("echo") >= 4
+
+
+def test_long_frame_of_an_unknown_function_does_not_swallow_frames_with_correct_crcs() -> None:
+    """The first bytes of the last frame are, by chance, the CRC of all bytes before."""
+    request = rtu_adu(1, b"\x45\x01\x02")
+    following = b"".join(rtu_adu(7, bytes((0x64, number, 9))) for number in range(6))
+    for number in range(1 << 16):
+        response = rtu_adu(1, b"\x45" + number.to_bytes(2))
+        unit, function = _crc(response + following).to_bytes(2, "little")
+        if 0 < unit < 248 and 0x41 <= function <= 0x48:
+            break
+    line = polls(Line(FORMAT), 20)
+    for raw in (request, response + following, rtu_adu(unit, bytes((function, 1, 2)))):
+        line.frame(raw, 30 * MS)
+    told = [one.raw for one in heard(polls(line, 3).reads(), timed=False) if isinstance(one, Adu)]
+    assert response in told
+    assert max(map(len, told)) == 8
+
+
+@pytest.mark.parametrize("timed", [True, False], ids=["with times", "without times"])
+def test_equal_responses_where_only_slaves_are_heard_are_no_copies(timed: bool) -> None:
+    line = Line(FORMAT)
+    for number in (*range(6), *[9] * 12):
+        line.frame(rtu_adu(1, bytes.fromhex("03 02 00") + bytes([number])), 40 * MS)
+    told = [one for one in heard(line.reads(), timed=timed) if isinstance(one, Adu)]
+    assert len(told) == 18

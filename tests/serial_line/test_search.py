@@ -420,7 +420,6 @@ def test_many_equal_pairs_with_silences_are_right(pairs: int) -> None:
     assert ambiguous(events) == []
 
 
-@pytest.mark.xfail(reason="the first frame of a capture is called a request with 0.89")
 @pytest.mark.parametrize(
     "raw", [WRITE, CONTACTS, frame(5, "16 0004 00F2 0025")], ids=lambda raw: raw.hex()
 )

@@ -10,7 +10,10 @@ import time
 import uuid
 from pathlib import Path
 from threading import Event, Thread
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MARK = "MBTOOL_SOAK"
 """An environment variable by which processes of this run are found, also those left over."""
@@ -25,8 +28,20 @@ class Running:
     started: ClassVar[list[Running]] = []
     """All of them."""
 
-    def __init__(self, *command: str, clock: Path | None = None, stdout: int | None = None) -> None:
-        environment = {**os.environ, MARK: RUN, "NO_COLOR": "1", "COLUMNS": "120"}
+    def __init__(
+        self,
+        *command: str,
+        clock: Path | None = None,
+        stdout: int | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        environment = {
+            **os.environ,
+            **(environment or {}),
+            MARK: RUN,
+            "NO_COLOR": "1",
+            "COLUMNS": "120",
+        }
         if clock is not None:
             path = f"{_HERE / 'clock'}:{environment.get('PYTHONPATH', '')}"
             environment |= {"SOAK_CLOCK": str(clock), "PYTHONPATH": path}

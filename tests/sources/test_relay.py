@@ -339,13 +339,14 @@ def test_a_slave_that_is_reset_resets_the_master(
             CA,
             "TLS: the master's certificate is refused: unable to get local issuer certificate",
         ),
+        (NO_SUBJECT, CA, "TLS: the master's certificate is refused: self-signed certificate"),
         (
             MASTER,
             OTHER_CA,
             "TLS: the master refuses: it does not know who vouches for the tap's certificate",
         ),
     ],
-    ids=["none", "expired", "stranger", "other-ca"],
+    ids=["none", "expired", "stranger", "self-signed", "other-ca"],
 )
 def test_a_master_that_fails_the_handshake_is_one_event_and_the_target_is_not_called(
     bench: SecureBench, version: ssl.TLSVersion, cert: str | None, ca: str, message: str
@@ -400,8 +401,9 @@ def test_the_end_does_not_wait_for_a_handshake(bench: SecureBench) -> None:
             "--tls-target-name says which name it has instead",
         ),
         (EXPIRED, TARGET, "certificate has expired"),
+        (NO_SUBJECT, TARGET, "self-signed certificate"),
     ],
-    ids=["other-ca", "elsewhere", "expired"],
+    ids=["other-ca", "elsewhere", "expired", "self-signed"],
 )
 def test_a_target_whose_certificate_is_wrong_is_one_event_and_resets_the_master(
     bench: SecureBench, version: ssl.TLSVersion, cert: str, target: TargetTls, why: str

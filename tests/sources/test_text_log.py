@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -10,7 +11,9 @@ from mbtool.core import InputError, WireEvent
 from mbtool.modbus import rtu_adu
 from mbtool.sources.files import open_capture
 from mbtool.sources.text_frames import Label, TextFrames, whole_frames
+from mbtool.sources.text_log import MAY_BE_BYTES, may_be_bytes
 from mbtool.sources.text_marks import DateOrder, find_time, iso_ns
+from mbtool.sources.text_notations import SHAPE
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
 
@@ -392,3 +395,16 @@ def test_a_short_log_of_few_frames_counts(tmp_path: Path, text: str) -> None:
     path = tmp_path / "log.txt"
     path.write_text(text)
     assert {function for function, _ in _told(_read(path))} == {3}
+
+
+def test_the_quick_look_at_a_line_misses_no_bytes() -> None:
+    chance = Random(5)
+    letters = b'0000000000    ,,--::..xXhH[]<>|;\t_"(\\#=az>'
+    found = 0
+    for _ in range(60_000):
+        line = bytes(chance.choices(letters, k=chance.randint(1, 24)))
+        shape = line.translate(SHAPE)
+        is_found = MAY_BE_BYTES.search(shape) is not None
+        found += is_found
+        assert may_be_bytes(line, shape) == is_found, line
+    assert found > 5_000

@@ -17,6 +17,8 @@ from tests.troubles.lines import (
     FTDI,
     LINE,
     MS,
+    POLLED,
+    START_NS,
     TIMINGS,
     Plant,
     Sent,
@@ -110,12 +112,71 @@ def test_a_late_unit_is_told_with_its_latency_and_the_masters_time_out() -> None
     )
 
 
+def test_a_single_late_answer_is_a_note() -> None:
+    def answer(plant: Plant, request: Sent, unit: int, pdu: bytes) -> list[Sent]:
+        del pdu
+        at_ns = request.end_ns(LINE) + round(QUICK[unit] * MS)
+        if unit == 2 and 20_000 * MS < request.at_ns - START_NS < 21_000 * MS:
+            at_ns += 700 * MS
+        return [Sent(at_ns, rtu_adu(unit, values_pdu(plant.random, plant.quantity)))]
+
+    told = judged(Plant(latency=QUICK, respond=answer).run(60))
+    assert [(one.code, one.unit, one.severity) for one in told.troubles] == [
+        ("LINE-LATE", 2, Severity.NOTE)
+    ]
+    assert ": 1 of 60 answers come too late" in told.troubles[0].cause
+
+
+def test_a_dead_unit_is_told_beside_two_slaves_with_one_address() -> None:
+    plant = TwoSlaves(units=(4, 1, 2), latency={1: 8, 2: 12, 4: 5}, other=16)
+
+    def answer(_: Plant, request: Sent, unit: int, pdu: bytes) -> list[Sent]:
+        return [] if unit == 4 else plant.both(plant, request, unit, pdu)
+
+    plant.respond = answer
+    told = judged(plant.run(60), POLLED)
+    assert [(one.code, one.unit) for one in told.troubles] == [
+        ("LINE-SAME-UNIT", 2), ("UNIT-SILENT", 4),
+    ]  # fmt: skip
+
+
+def test_the_unit_asked_before_is_told_if_its_second_answer_may_be_what_collides() -> None:
+    plant = TwoSlaves(units=(4, 2, 1), latency={1: 8, 2: 12, 4: 5}, other=40)
+    plant.respond = plant.both
+    told = worst(judged(plant.run(60), POLLED))
+    assert told.code == "LINE-SAME-UNIT"
+    assert told.unit == 2 or "or as unit 2, which is asked right before it: " in told.cause
+
+
+@every_timing
+def test_a_dead_unit_is_told_beside_two_masters(timing: str) -> None:
+    one = Plant(units=(1, 2, 5), latency={1: 8, 2: 12}, cycle=1000)
+    other = Plant(units=(1, 3), latency={1: 8, 3: 30}, cycle=700, begin=333, seed=2)
+    told = judged([*one.run(60), *other.run(60)], timing)
+    assert ("UNIT-SILENT", 5) in [(one.code, one.unit) for one in told.troubles]
+
+
 @every_timing
 def test_two_masters_are_told_by_their_collisions(timing: str) -> None:
     one = Plant(units=(1, 2), latency={1: 8, 2: 12}, cycle=1000)
     other = Plant(units=(1, 3), latency={1: 8, 3: 30}, cycle=700, begin=333, seed=2)
     told = judged([*one.run(60), *other.run(60)], timing)
     assert worst(told).code == "LINE-TWO-MASTERS"
+    assert worst(told).cause.endswith("one asks unit 3 every 700 ms, the other unit 2 every 1.00 s")
+
+
+@every_timing
+def test_of_two_masters_is_told_which_asks_what(timing: str) -> None:
+    one = Plant(units=(1, 2), latency={1: 8, 2: 12}, cycle=1000)
+    other = Plant(units=(2, 4), latency={2: 9, 4: 30}, cycle=700, begin=333, seed=2, quantity=6)
+    told = worst(judged([*one.run(60), *other.run(60)], timing))
+    assert told.cause.endswith(
+        "one asks unit 2 (holding 32..37) and unit 4 every 700 ms, the other unit 1 and unit 2 "
+        "(holding 32..35) every 1.00 s"
+    )
+    same = Plant(units=(3, 4), latency={3: 8, 4: 30}, cycle=1000, begin=5, seed=2)
+    told = worst(judged([*one.run(60), *same.run(60)], timing))
+    assert (told.code, "one asks" in told.cause) == ("LINE-TWO-MASTERS", False)
 
 
 @every_timing
@@ -183,6 +244,19 @@ def test_a_constant_byte_beside_frames_is_missing_bias(
         )
     if timing == EXACT and of == "all":
         assert trouble.cause.endswith("the idle line floats, as bias is missing")
+
+
+def test_the_units_beside_whose_answers_a_constant_byte_stands_are_named() -> None:
+    frames = [
+        new
+        for one in well()
+        for new in (stray([one], 0, ahead=True, of="answers") if one.data[0] == 2 else [one])
+    ]
+    trouble = worst(judged(frames))
+    assert trouble.code == "LINE-BIAS"
+    assert "stands before answers of unit 2 (" in trouble.cause
+    assert ": the driver of unit 2 is switched on too early" in trouble.cause
+    assert trouble.remedy.startswith("look at how the driver of unit 2 is switched")
 
 
 @every_timing

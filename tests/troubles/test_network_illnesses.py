@@ -20,13 +20,21 @@ from tests.ledger.masters import MS, START_NS
 from tests.ledger.requests import request, unanswered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Trouble
 
 MASTER, SLAVE = "10.0.0.1", "10.0.0.2"
+CAPTURES = sorted(
+    path
+    for path in public_folder().rglob("*")
+    if path.name.endswith((".pcap", ".pcapng", ".gz", ".sr"))
+    and path.stat().st_size <= 1_500_000
+    and "cutfile" not in path.name
+)
 
 
 def on(*, master: str = MASTER, slave: str = SLAVE, **fields: Any) -> dict[str, Any]:
@@ -89,6 +97,36 @@ def test_a_unit_that_holds_up_the_line_of_a_gateway_is_the_cause() -> None:
     assert ("UNIT-SILENT", 3) in [(one.code, one.unit) for one in told.troubles]
 
 
+def test_each_time_names_the_unit_whose_answer_the_others_wait_for() -> None:
+    records: list[Any] = []
+    for at in range(120):
+        start_ms = 2000 * at
+        silent, other = (3, 2) if at < 50 else (2, 3)
+        if at % 5 or 40 <= at < 70:
+            records += [asked(start_ms + 90 * unit, unit=unit, latency_ms=60) for unit in (1, 2, 3)]
+            continue
+        records += [
+            missing(start_ms, unit=silent),
+            asked(start_ms + 50, unit=other, latency_ms=1100),
+            asked(start_ms + 700, unit=1, latency_ms=520, master="10.0.0.9"),
+            asked(start_ms + 750, 8, unit=other, latency_ms=540, master="10.0.0.8"),
+        ]
+    told = [one for one in judged(records).troubles if one.code == "NET-BLOCKED"]
+    assert {(one.unit, one.victims) for one in told} == {(3, (1, 2)), (2, (1, 3))}
+    first, second = sorted(told, key=lambda one: one.evidence[0].ts_ns)
+    assert (first.since_ns, second.until_ns) == (None, None)
+    assert first.until_ns is not None
+    assert second.since_ns is not None
+    assert first.until_ns < second.since_ns
+    assert "holds up the line behind its gateway for 1.15 s each time" in first.cause
+
+
+def test_what_is_answered_before_a_slow_request_did_not_wait_for_it() -> None:
+    records = [asked(3000 * at, unit=1, latency_ms=2000) for at in range(40)]
+    records += [asked(3000 * at + 500, unit=2, latency_ms=400) for at in range(40)]
+    assert "NET-BLOCKED" not in [one.code for one in judged(records).troubles]
+
+
 def test_two_units_that_are_slow_by_themselves_block_nobody() -> None:
     records = [
         asked(2000 * at + 1000 * (unit - 1), unit=unit, latency_ms=400)
@@ -114,7 +152,9 @@ def test_a_master_that_pipelines_gives_nothing_up() -> None:
 
 def test_polls_that_wait_for_a_delayed_acknowledgement_are_a_note() -> None:
     records = [asked(500 * at, latency_ms=3) for at in range(60)]
-    records += [asked(500 * at + 200, 9, latency_ms=200 + at % 3) for at in range(30)]
+    records += [
+        asked(500 * at + 200, 9, latency_ms=200 + at % 3 if at % 10 else 20) for at in range(30)
+    ]
     trouble = of_code(judged(records), "NET-DELAYED-ACK")
     assert trouble.severity is Severity.NOTE
     assert trouble.cause.startswith("1 poll of unit 1 takes 2")
@@ -193,6 +233,14 @@ def test_a_path_that_loses_packets_is_told() -> None:
     trouble = of_code(judged(records), "NET-LOSSY")
     assert (trouble.count, trouble.of, trouble.severity) == (20, 200, Severity.WARNING)
     assert trouble.cause.startswith(f"20 of 200 messages between {MASTER} and {SLAVE} are sent")
+
+
+def test_a_single_loss_that_holds_answers_up_is_a_note() -> None:
+    records: list[Any] = [asked(500 * at) for at in range(60)]
+    records[20:20] = [sent_again(10_300), sent_again(11_500), asked(10_010, 9, latency_ms=3700)]
+    trouble = of_code(judged(records), "NET-LOSSY")
+    assert (trouble.count, trouble.severity, len(trouble.evidence)) == (2, Severity.NOTE, 2)
+    assert "are sent again, an answer took 3.70 s then" in trouble.cause
 
 
 def test_what_is_sent_again_to_a_dead_host_is_no_loss() -> None:
@@ -316,7 +364,41 @@ def test_illnesses_in_captures_of_others_are_named(name: str, code: str) -> None
     path = public_folder() / name
     if not path.exists():
         pytest.skip("no captures of others")
+    assert code in [one.code for one in troubles_of(path)]
+
+
+@pytest.mark.public_captures
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name)
+def test_each_trouble_of_captures_of_others_has_evidence(path: Path) -> None:
+    told = [one for trouble in troubles_of(path) for one in trouble.all]
+    assert [(one.code, one.who) for one in told if not one.evidence] == []
+
+
+def test_figures_come_with_the_transactions_that_they_count() -> None:
+    records: list[Any] = [asked(500 * at, unit=unit) for at in range(60) for unit in (1, 2, 3)]
+    records[90:90] = [asked(15_100, latency_ms=400), asked(15_600, latency_ms=150)]
+    records += [asked(500 * at + 50, unit=4, latency_ms=90 + at) for at in range(30)]
+    late = of_code(judged(records), "POLL-LATE")
+    assert [one.text for one in late.evidence] == ["answered after 400 ms", "answered after 150 ms"]
+    slow = of_code(judged(records), "UNIT-SLOW")
+    assert [one.text for one in slow.evidence[-2:]] == [
+        "answered after 118 ms", "answered after 119 ms",
+    ]  # fmt: skip
+
+
+def troubles_of(path: Path) -> Sequence[Trouble]:
     run = CheckRun([str(path)], ReadingOptions())
     for _ in run.findings():
         pass
-    assert code in [one.code for one in run.judgement().troubles]
+    return run.judgement().troubles
+
+
+@pytest.mark.public_captures
+def test_each_unit_that_holds_up_a_real_gateway_is_named_with_its_time() -> None:
+    path = public_folder() / "ITI__ICS-Security-Tools/Modbus__modbus_test.pcap"
+    if not path.exists():
+        pytest.skip("no captures of others")
+    told = [one for one in troubles_of(path) if one.code == "NET-BLOCKED"]
+    assert sorted((one.unit, one.when) for one in told) == [
+        (2, " since 14:13:26"), (3, " from 14:12:38 to 14:13:11"),
+    ]  # fmt: skip

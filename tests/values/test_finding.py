@@ -133,3 +133,38 @@ def test_words_of_any_kind_raise_nothing(rows: list[list[int]]) -> None:
     histories = [words_of(rows)] if rows else []
     find([Wanted("", [Sighting(0.0, 0.5, START_NS)])], [WordsOfSlave("5", histories)])
     find_changed([WordsOfSlave("5", histories)], START_NS, START_NS + 1)
+
+
+def test_a_register_that_several_requests_write_has_all_their_values() -> None:
+    alone = WordHistory(
+        Table.HOLDING_REGISTERS, 105, [START_NS + 5 * SECOND_NS], [(1500,)], is_written=True
+    )
+    together = WordHistory(
+        Table.HOLDING_REGISTERS, 104, [START_NS + 15 * SECOND_NS], [(1, 1600, 0)], is_written=True
+    )
+    later = Sighting(1600.0, 0.5, START_NS + 16 * SECOND_NS)
+    for sightings in ([later], [Sighting(1500.0, 0.5, START_NS + 6 * SECOND_NS), later]):
+        best = found(Wanted("", sightings), alone, together)[0]
+        assert (best.address, best.reading.type) == (105, PointType.UINT16)
+        assert best.likelihood > 0.9
+
+
+def test_a_whole_number_shows_nothing_between_two_of_its_values() -> None:
+    rows = [[21, 220 + at % 20] for at in range(60)]
+    assert [one.address for one in found(Wanted("", [Sighting(21.3, 0.05)]), words_of(rows))][
+        :1
+    ] == [101]
+
+
+def test_a_constant_is_no_number_two_percent_away() -> None:
+    rows = [[2287, 230 + at % 9] for at in range(60)]
+    places = found(Wanted("", [Sighting(23.4, 0.05)]), words_of(rows))
+    assert places[0].address == 101
+    assert all(one.address != 100 or one.likelihood < 0.01 for one in places)
+
+
+def test_numbers_much_larger_than_a_tolerance_raise_nothing() -> None:
+    huge = on_the_wire(struct.pack(">d", 3.3e11), "ABCD")
+    rows = [[*huge, 230 + at % 9] for at in range(60)]
+    seen = Sighting(3.4e11, 1e-9, START_NS + 5 * SECOND_NS)
+    assert found(Wanted("", [seen]), words_of(rows)) is not None

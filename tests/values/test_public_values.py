@@ -14,9 +14,12 @@ from mbtool.values.draft import draft_profile
 from mbtool.values.histories import histories_of
 from mbtool.values.judging import judge
 from mbtool.values.sightings import parse_seen, wanted_of
+from mbtool.values.word_readings import Order
 from mbtool.workflows.find import Finder
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.adversary.values.sure import METER as METER_FILE
+from tests.adversary.values.sure import captures, slaves_of, sure_values
 from tests.printed_frames import as_byte_times
 
 if TYPE_CHECKING:
@@ -107,3 +110,33 @@ def test_nothing_is_sure_that_the_map_of_the_test_plc_contradicts(public_capture
             type_, words = PLC4X[inside[one.address]]
             assert (inside[one.address], one.words) == (one.address, words), one
             assert one.reading.type in (type_, PointType("u" + type_) if type_[0] == "i" else type_)
+
+
+MAPS = {
+    METER_FILE: {
+        (address, PointType.INT32, Order.CDAB)
+        for address in (*range(258, 274, 2), *range(286, 328, 2), *range(1024, 1040, 2))
+    },
+    # Manual of red-y smart: flow, temperature, total, set point, analogue input, valve; texts.
+    "flowmeter_": {
+        *((address, PointType.FLOAT32, Order.ABCD) for address in range(0, 12, 2)),
+        *((address, PointType.STRING, Order.ABCD) for address in (35, 4100)),
+    },
+}
+"""By the beginning of a capture's name: the values of the device, by its published map."""
+
+
+def test_nothing_is_called_sure_that_a_published_map_contradicts(
+    public_captures: Path, tmp_path: Path
+) -> None:
+    seen = 0
+    for name, known in MAPS.items():
+        for path in captures():
+            if not path.name.startswith(name) or path.suffix not in (".sr", ".txt"):
+                continue
+            for slave in slaves_of(path, tmp_path):
+                for one, _ in sure_values(slave):
+                    is_known = (one.address, one.reading.type, one.reading.order) in known
+                    assert is_known, (path.name, one)
+                    seen += 1
+    assert seen >= 20

@@ -79,8 +79,7 @@ def test_a_number_that_is_typed_while_a_link_is_heard_is_found() -> None:
                 (samples,) = slave.samples.values()
                 shown.append(samples.rows[-1][1] / 10)
             live.see(parse_seen(f"Level={shown[-1]}bar"))
-        with live.lock:
-            ((best, *_),) = live.places()
+        ((best, *_),) = live.places()
         assert (best.address, best.power, live.wanted[0].unit) == (11, -1, "bar")
     finally:
         live.stop()

@@ -13,6 +13,7 @@ import msgspec
 
 from mbtool.core import InputError
 from mbtool.core.errors import reason_of
+from mbtool.core.replacing import make_folder, replace_content
 
 MAX_FILTERS = 20
 _DAMAGED = ".damaged"
@@ -66,11 +67,9 @@ def save_settings(settings: WatchSettings) -> str | None:
     except RuntimeError:
         return f"{problem}there is no home folder"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_suffix(".new")
-        beside.write_bytes(msgspec.json.format(msgspec.json.encode(settings)))
+        make_folder(path.parent)
         _keep_damaged(path)
-        beside.replace(path)
+        replace_content(path, msgspec.json.format(msgspec.json.encode(settings)))
     except (FileExistsError, NotADirectoryError):
         file = next(one for one in path.parents if one.exists())
         return f"{problem}{file} is a file, not a folder"

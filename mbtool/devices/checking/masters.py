@@ -27,12 +27,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.checking.finding import packets_of, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.security_cases import Packets, host_of
+from mbtool.devices.checking.security_cases import Packets, host_of, is_identification
 from mbtool.devices.checking.security_limits import SecurityLimit
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.functions import FUNCTIONS
-from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
+from mbtool.modbus.identification import ENCAPSULATED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 MAX_MASTERS = 16
 MAX_HOSTS = 4096
 
-_READ_DEVICE_IDENTIFICATION = 0x0E
-_READ_MODEL_CODE = 0x42
 _EVER_NS = 1 << 63
 
 
@@ -124,7 +122,7 @@ class MasterRules:
             self._note_write(
                 masters, master, Write(at_ns, packets_of(transaction), lambda: transaction)
             )
-        elif _is_identification(transaction):
+        elif is_identification(transaction):
             self._note_identification(transaction, host, slave)
 
     def takes(self, run: QuietRun) -> bool:
@@ -241,13 +239,6 @@ class MasterRules:
             example = f"{_function(transaction)} of {slave}"
             finding, packets = replace(finding, reference=None), window.last_packets(counted)
             self._cases.add(host, finding.code, lambda: finding, counted, [example], packets)
-
-
-def _is_identification(transaction: NamedTransaction) -> bool:
-    function = transaction.function
-    if function == ENCAPSULATED:
-        return transaction.sub_function == _READ_DEVICE_IDENTIFICATION
-    return function in (REPORT_SERVER_ID, _READ_MODEL_CODE)
 
 
 def _function(transaction: NamedTransaction) -> str:

@@ -2,12 +2,12 @@
 (MB-404).
 """
 
-# A poll is a series of equal requests to one unit; a period is the time from one of them to the
-# next. The periods of a poll are regular if their interquartile range is at most MAX_SPREAD of
-# their median. A period of a regular poll is irregular if it differs from the median by more than
-# half. There is one finding for each regular poll with irregular periods, with figures. A poll with
-# a median period below MIN_PERIOD_NS gets no finding: such a master sends as soon as the response
-# has come, not by a clock.
+# A poll is a series of equal requests of one master to one unit; a period is the time from one of
+# them to the next. The periods of a poll are regular if their interquartile range is at most
+# MAX_SPREAD of their median. A period of a regular poll is irregular if it differs from the median
+# by more than half. There is one finding for each regular poll with irregular periods, with
+# figures. A poll with a median period below MIN_PERIOD_NS gets no finding: such a master sends as
+# soon as the response has come, not by a clock.
 #
 # Memory: MAX_POLLS polls with fewer than MAX_PERIODS periods each, plus the shortest and the
 # longest. If there are more periods, a pseudo-random sample is kept that is spread over the whole
@@ -23,16 +23,17 @@ from operator import sub
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import milliseconds
+from mbtool.core.wording import host_of, milliseconds
 from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.quiet_run import QuietPoll
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.checking.quiet_run import QuietPoll, QuietRun
+    from mbtool.devices.checking.quiet_run import QuietRun
 
 MAX_POLLS = 4096
 MAX_PERIODS = 256
@@ -178,7 +179,8 @@ class PollRules:
 
 
 def _key(one: NamedTransaction | QuietPoll) -> tuple[object, ...]:
-    return one.link, one.unit, one.function, one.address, one.quantity
+    master = one.master if isinstance(one, QuietPoll) else host_of(one.source)
+    return one.link, master, one.unit, one.function, one.address, one.quantity
 
 
 def _text(poll: _Poll) -> str | None:

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 
 class QuietPoll(NamedTuple):
-    """The equal requests to one unit, from all masters, in a run."""
+    """The equal requests of one master to one unit in a run."""
 
     link: str
+    master: str
+    """The master's host."""
     unit: int
     function: int
     address: int

@@ -12,8 +12,10 @@
 #
 # A capture can be too short to have a master's second turn. So of addresses and units that answer
 # what is asked, the rules SEC-201 and SEC-202 count only those that were requested first_time_ns
-# (the first minutes of SEC-205) before the capture's end, and those of a host that was first heard
-# when another one had been polling, and whose connections the capture has from the beginning.
+# (the first minutes of SEC-205) before the capture's end. If the capture has the opening of the
+# first connection to an address, it counts in three further cases: its host was first heard when
+# another one had been polling; the host did not ask it again for the time of SEC-201's limit; or it
+# asked for the identification only, and did not ask again for IDENTIFIED_NS.
 #
 # Memory: the time at which each of the first MAX_HOSTS hosts was first heard. Later ones count as
 # heard from the beginning.
@@ -31,6 +33,7 @@ from mbtool.devices.checking.finding import Finding, event_finding, packets_of, 
 from mbtool.devices.checking.security_cases import (
     Packets,
     host_of,
+    is_identification,
     master_text,
     place_text,
 )
@@ -46,6 +49,7 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
+    from mbtool.devices.checking.unpolled import Attempts
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
 
@@ -53,6 +57,10 @@ MAX_HOSTS = 4096
 MOST_UNITS = 64
 """More units of one slave than this count as scanned, even if the capture is short and all of them
 answer. A gateway has fewer; a device that ignores the unit answers for every one."""
+
+IDENTIFIED_NS = 10_000_000_000
+"""A master that identifies its slaves before it polls them begins to poll within this time. A scan
+asks for nothing else."""
 
 _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 """Outcomes of requests that the slave may have answered as asked."""
@@ -78,6 +86,8 @@ class _UnitRequest(NamedTuple):
     is_answered: bool
     as_asked: bool
     """True if the slave may have answered as asked."""
+    is_identification: bool = False
+    """True if it asks for the identification only."""
 
 
 class ScanRules:
@@ -88,6 +98,9 @@ class ScanRules:
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._first_time_ns = limits.identification.window_ns
+        self._turn_ns = limits.host_scan.window_ns
+        """A host that connects to an address and does not ask it again for so long (ns) does not
+        poll it."""
         self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
         self._units = Unpolled("SEC-202", _as_is, limits.unit_scan, cases, most_ordinary=MOST_UNITS)
         self._functions = Unpolled("SEC-203", _function_case, limits.function_scan, cases)
@@ -125,6 +138,7 @@ class ScanRules:
             packets_of(transaction),
             transaction.response_raw is not None,
             transaction.outcome in _AS_ASKED,
+            is_identification(transaction),
         )
         if not is_polled:
             self._note_unit(asked, lambda: transaction)
@@ -209,7 +223,7 @@ class ScanRules:
         Call this method at the end of the capture.
         """
         self._hosts.close(self._is_too_short)
-        self._units.close(lambda source, ts_ns, _: self._is_too_short(source, ts_ns, False))
+        self._units.close(lambda _, attempts: self._is_before_second_turn(attempts))
         self._functions.close()
         self._registers.close()
 
@@ -218,17 +232,21 @@ class ScanRules:
         if source not in self._first_heard_ns and len(self._first_heard_ns) < MAX_HOSTS:
             self._first_heard_ns[source] = at_ns
 
-    def _is_too_short(self, source: str, ts_ns: int, was_opened: bool) -> bool:
-        """True if the capture may only lack the second turn of a master.
+    def _is_before_second_turn(self, attempts: Attempts) -> bool:
+        """True if the capture ends before a master had to ask for the second time."""
+        return self._end_ns - attempts.at_ns <= self._first_time_ns
 
-        `ts_ns` is the time of the request; `was_opened` is True if the capture has the beginning of
-        its connection.
-        """
-        if self._end_ns - ts_ns > self._first_time_ns:
+    def _is_too_short(self, source: str, attempts: Attempts) -> bool:
+        """True if the capture may only lack the second turn of a master to an address."""
+        if not self._is_before_second_turn(attempts):
+            return False
+        if not attempts.was_opened:
+            return True
+        quiet_ns = self._end_ns - attempts.last_ns
+        if quiet_ns > (self._turn_ns if attempts.reads_more else IDENTIFIED_NS):
             return False
         first_ns = self._first_heard_ns.get(source)
-        is_new = self._polled_ns is not None and first_ns is not None and first_ns > self._polled_ns
-        return not (is_new and was_opened)
+        return self._polled_ns is None or first_ns is None or first_ns <= self._polled_ns
 
     def _note_unit(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         """Count a request to a unit that is not known to be polled. `make` makes its
@@ -260,6 +278,7 @@ class ScanRules:
             lambda: _finding("SEC-201", make(), _hosts(source)),
             is_answered=asked.is_answered,
             is_answered_as_asked=asked.as_asked,
+            is_identification=asked.is_identification,
             packets=asked.packets,
         )
 

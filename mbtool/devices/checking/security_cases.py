@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding
+from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 MAX_EXAMPLES = 3
 MAX_SOURCES = 4096
 MAX_CASES = 20_000
+
+_READ_DEVICE_IDENTIFICATION = 0x0E
+_READ_MODEL_CODE = 0x42
 
 Packets = tuple[int, ...]
 """The numbers of the packets of a request and its response."""
@@ -111,3 +115,10 @@ def master_text(transaction: NamedTransaction) -> str:
 def place_text(transaction: NamedTransaction) -> str:
     """Return the slave's place, for a message: its HOST:PORT, or its line as `the line rs485`."""
     return transaction.destination or f"the line {transaction.link}"
+
+
+def is_identification(transaction: NamedTransaction) -> bool:
+    function = transaction.function
+    if function == ENCAPSULATED:
+        return transaction.sub_function == _READ_DEVICE_IDENTIFICATION
+    return function in (REPORT_SERVER_ID, _READ_MODEL_CODE)

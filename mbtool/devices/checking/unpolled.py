@@ -54,7 +54,7 @@ _Thing = tuple[_Scope, Hashable]
 
 
 @dataclass(slots=True)
-class _Attempts:
+class Attempts:
     """The requests of a master to one thing that it does not poll, as far as is known by now.
 
     A thing is an IP address, unit, function or register.
@@ -80,6 +80,10 @@ class _Attempts:
     was_opened: bool = False
     """True if the capture has the opening of a connection to the thing, an IP address, before the
     first request."""
+    last_ns: int = 0
+    """The time of the latest request, in ns."""
+    reads_more: bool = False
+    """True if a request asked for something else than the identification."""
     more: tuple[Packets, ...] = ()
     """The packets of the requests after the first one, at most MAX_PACKETS."""
 
@@ -114,7 +118,7 @@ class _UnpolledThings:
 
     def __init__(self, limit: SecurityLimit) -> None:
         self.window = SlidingWindow(limit)
-        self.recent: deque[_Attempts] = deque(maxlen=limit.number)
+        self.recent: deque[Attempts] = deque(maxlen=limit.number)
 
 
 class Unpolled(Generic[R]):
@@ -143,7 +147,7 @@ class Unpolled(Generic[R]):
         self._describe = describe
         self._cases = cases
         self._most_ordinary = most_ordinary
-        self._attempts: OrderedDict[_Thing, _Attempts] = OrderedDict()
+        self._attempts: OrderedDict[_Thing, Attempts] = OrderedDict()
         self._polled: dict[_Thing, None] = {}
         """The things (IP addresses, units ...) that are known to be polled, the oldest first."""
         self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
@@ -174,22 +178,23 @@ class Unpolled(Generic[R]):
         *,
         is_answered: bool = False,
         is_answered_as_asked: bool = False,
+        is_identification: bool = False,
         packets: Packets = (),
     ) -> bool:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
-        Returns True if the thing is now known to be polled. `request` is the hash of the request;
-        `is_answered` is True if it has a response, `is_answered_as_asked` if that response brings
-        what was requested, and is no exception. `at_ns` is the time of the request. `make` is
-        called for the first request to a thing, and makes its record. `packets` are those of the
-        request and its response.
+        Returns True if the thing is now known to be polled. `request` is the hash of the request,
+        `at_ns` its time. `make` is called for the first request to a thing, and makes its record.
+        `is_answered` is True if the request has a response, `is_answered_as_asked` if that response
+        brings what was requested, and is no exception, `is_identification` if it asks for the
+        identification only. `packets` are those of the request and its response.
         """
         thing = (scope, item)
         if thing in self._polled:
             return True
         attempts = self._attempts.get(thing)
         if attempts is None:
-            self._attempts[thing] = _Attempts(
+            attempts = self._attempts[thing] = Attempts(
                 request,
                 is_answered,
                 make(),
@@ -207,32 +212,31 @@ class Unpolled(Generic[R]):
             attempts.is_answered_as_asked |= is_answered_as_asked
             if len(attempts.more) < MAX_PACKETS:
                 attempts.more += (packets,)
+        attempts.last_ns = max(attempts.last_ns, at_ns)
+        attempts.reads_more |= request != OPENED and not is_identification
         return False
 
     def close(
         self,
-        is_too_short: Callable[[str, int, bool], bool] = lambda source, ts_ns, was_opened: False,
+        is_too_short: Callable[[str, Attempts], bool] = lambda source, attempts: False,
     ) -> None:
         """Count all things (IP addresses, units ...) that are not known to be polled.
 
-        Call this method at the end of the capture. `is_too_short` tells of a request whether the
-        capture is too short to know if the source polls; it takes the source, the time of the
-        request (ns), and True if the capture has the opening of the connection.
+        Call this method at the end of the capture. `is_too_short` tells of the requests of a source
+        to a thing whether the capture is too short to know if the source polls it.
         """
         left, self._attempts = self._attempts, OrderedDict()
         all_things, ordinary = Counter[_Scope](), Counter[_Scope]()
         for (scope, _), one in left.items():
             all_things[scope] += 1
-            ordinary[scope] += one.is_answered_as_asked and is_too_short(
-                str(scope[0]), one.at_ns, one.was_opened
-            )
+            ordinary[scope] += one.is_answered_as_asked and is_too_short(str(scope[0]), one)
         for thing, one in sorted(left.items(), key=lambda item: item[1].at_ns):
             scope, most = thing[0], self._most_ordinary
             is_plant = 2 * ordinary[scope] > all_things[scope]
             if not is_plant or (most is not None and all_things[scope] > most):
                 self._settle(thing, one)
 
-    def _settle(self, thing: _Thing, attempts: _Attempts) -> None:
+    def _settle(self, thing: _Thing, attempts: Attempts) -> None:
         scope = thing[0]
         scan = self._scans[scope]
         scan.recent.append(attempts)

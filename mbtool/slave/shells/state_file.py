@@ -2,20 +2,17 @@
 
 # The file is TOML with the device's references as keys, like a file of start values
 # (image_file.py). It is written when a non-volatile register has changed, before the master gets
-# the response. The content goes into a second file, which is synced to the disk and then renamed.
-# So after a crash or a power cut the file holds the old state or the new one, never a mixture. The
-# second file may remain after a crash; it always has the same name, so the next write replaces it.
+# the response, and is on the disk then (core/replacing.py).
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
-import os
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
+from mbtool.core.replacing import replace_content
 from mbtool.devices import write_reference
 from mbtool.slave.device.image_file import load_image
 
@@ -57,7 +54,7 @@ def keep_state(
                 f"{_key(write_reference(profile, table, address))} = {value}\n"
                 for address, value in zip(span, values, strict=True)
             ]
-        _replace(path, "".join(lines))
+        replace_content(path, "".join(lines).encode())
 
     def keep() -> None:
         try:
@@ -87,24 +84,3 @@ def _resolved(path: Path) -> Path:
 
 def _key(reference: str) -> str:
     return reference if reference.isalnum() and reference.isascii() else json.dumps(reference)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file's content in one step. Raises OSError if the file cannot be written."""
-    beside = path.with_name(f".{path.name}.new")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            beside.unlink()
-        raise
-    if hasattr(os, "O_DIRECTORY"):  # A rename survives a power cut only if the folder is synced.
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)

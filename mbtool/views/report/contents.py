@@ -21,6 +21,7 @@ from mbtool.core import WireEvent
 from mbtool.devices import Difference
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.ledger.account import OTHER_UNITS, Account
+from mbtool.ledger.advice import Advised
 from mbtool.ledger.inventory_rows import InventoryDocument, Role, iso_time
 from mbtool.ledger.time_bins import Chart, LinkSum, UnitSum
 from mbtool.ledger.unit_account import UnitAccount, UnitKey
@@ -29,6 +30,7 @@ from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
 from mbtool.values.value_series import thinned
 from mbtool.values.values import Values
+from mbtool.views.advice_lines import advice_lines
 from mbtool.views.differences import what_text
 from mbtool.views.inventory_table import mac_text, profile_text, seen_text, slave_lines
 from mbtool.views.report.transaction_rows import TransactionRows
@@ -123,6 +125,7 @@ class ReportContents:
     number_lacking: int
     comparison: ComparisonWith | None = None
     words: ReportWords
+    advice: Sequence[Advised] = ()
 
 
 def report_document(contents: ReportContents) -> dict[str, Any]:
@@ -139,6 +142,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
         "words": asdict(contents.words),
         "verdict": _verdict(contents.judgement),
         "stats": _statistics(contents),
+        "advice": advice_lines(contents.advice),
         "bins": _bins(contents, bins),
         "bars": _bars(_sorted_links(contents), _places(contents)),
         "values": _values(contents.values, bins.begin_ns),

@@ -135,6 +135,11 @@ def _points(
         raise UsageError(f"{text!r}: a coil or discrete input has no type")
     point = _typed(type_text, text)
     words = point.words
+    if words == 1 and point.word_order is WordOrder.LOW_FIRST:
+        raise UsageError(
+            f"{text!r}: {point.type} has one register; write no order behind it, or BADC if its "
+            "bytes are swapped"
+        )
     count = 1 if ".." not in reference else len(span) // words
     if count < 1 or (".." in reference and len(span) % words):
         raise UsageError(f"{text!r}: {len(span)} registers are no whole number of {words} each")
@@ -184,16 +189,16 @@ def _typed(type_text: str, text: str) -> Point:
     if short := _SHORT.fullmatch(low):
         key = f"{short[1]}{short[2]}"
         if key in _TYPES:
-            return made(_TYPES[key], parse_order(short[3]) if short[3] else None)
+            return made(_TYPES[key], _order(short[3], key, text) if short[3] else None)
     elif string := _STRING.fullmatch(low):
         if (length := (int(string[1]) + 1) // 2) > 0:
             return made(PointType.STRING, length=length)
     else:
         match = _ORDER.fullmatch(low)
-        order = parse_order(match[2]) if match else None
-        spelled = parse_type(match[1] if match and order else low)
+        spelled = parse_type(match[1] if match else low)
         if spelled is not None and spelled.type is not PointType.STRING and not spelled.is_switch:
-            return made(spelled.type, order or spelled.order)
+            order = _order(match[2], match[1], text) if match else spelled.order
+            return made(spelled.type, order)
     if "=" in type_text:
         type_, _, value = type_text.partition("=")
         raise UsageError(
@@ -203,3 +208,13 @@ def _typed(type_text: str, text: str) -> Point:
         f"{text!r}: {type_text!r} is no type; write u16, i16, u32, i32, u64, i64, f32, f64 (with "
         "ABCD, CDAB, BADC or DCBA behind), bcd16, bcd32, hex or str8"
     )
+
+
+def _order(letters: str, type_text: str, text: str) -> tuple[WordOrder, ByteOrder]:
+    order = parse_order(letters)
+    if order is None:
+        raise UsageError(
+            f"{text!r}: {letters.upper()} is no order; write ABCD (the highest byte first), CDAB, "
+            f"BADC or DCBA behind {type_text}"
+        )
+    return order

@@ -69,6 +69,16 @@ def test_each_poll_is_checked_separately() -> None:
     assert [one.message.partition(":")[0] for one in found] == ["read input 0"]
 
 
+def test_equal_requests_of_two_masters_are_two_polls() -> None:
+    rules = PollRules()
+    for at in range(60):
+        for master, late_ms in (("10.0.0.1", 0), ("10.0.0.9", 370)):
+            last = transaction(at_ms=1000 * at + late_ms, source=f"{master}:5000{at % 5}")
+            rules.transaction(last)
+    assert [*rules.close()] == []
+    assert rules.usual_ns(last) == 1_000_000_000
+
+
 def test_memory_is_bounded() -> None:
     rules = PollRules()
     for at in range(3 * MAX_PERIODS):

@@ -408,6 +408,38 @@ def test_slaves_that_are_asked_only_once_in_a_long_capture_are_scanned() -> None
     assert (finding.code, finding.count) == ("SEC-201", 12)
 
 
+def visits(slaves: int, *request: str, master: str = B) -> list[Record]:
+    """A host connects to so many slaves, 50 ms apart, and sends each one request."""
+    return [
+        record
+        for one in range(slaves)
+        for record in (
+            opens(f"10.1.0.{one}", at_ms=one * 50, master=master),
+            said(*request, master=master, slave=f"10.1.0.{one}", at_ms=one * 50 + 10),
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("request_", "quiet_s"), [((), 60), (IDENTIFY, 10), (("11", "11 02 01 FF"), 10)]
+)
+def test_a_scan_that_is_answered_is_found_when_the_scanner_does_not_come_back(
+    request_: tuple[str, ...], quiet_s: int
+) -> None:
+    scan = visits(30, *request_)
+    late_ms = 30 * 50 + quiet_s * SECOND
+    assert [(one.code, one.count) for one in found([*scan, said(at_ms=late_ms)])] == [
+        ("SEC-201", 30)
+    ]
+    assert found([*scan, said(at_ms=late_ms - 2 * SECOND)]) == []
+
+
+def test_a_host_that_identifies_its_slaves_and_reads_them_once_is_no_scan_at_once() -> None:
+    reads = turn_of(30, master=B, at_ms=5 * SECOND)
+    assert found([*visits(30, *IDENTIFY), *reads, said(at_ms=30 * SECOND)]) == []
+    assert len(found([*visits(30, *IDENTIFY), *reads, said(at_ms=67 * SECOND)])) == 1
+
+
 def test_connections_joined_midway_are_no_scan() -> None:
     joined = [opens(f"10.1.0.{one}", at_ms=one) for one in range(30)]
     joined = [replace(one, message=CONNECTION_JOINED) for one in joined]

@@ -99,6 +99,10 @@ def test_without_types_nothing_changes() -> None:
         ("nothing:u16", "is no range of registers"),
         ("hr10:str0", "is no type"),
         ("hr10", "write REFERENCE:TYPE"),
+        ("hr10:f32abdc", "ABDC is no order; write ABCD"),
+        ("hr10:float32bacd", "BACD is no order; write ABCD .* behind float32"),
+        ("hr10:u16cdab", "uint16 has one register"),
+        ("hr10:scan", "'scan' is no type; write u16"),
     ],
 )
 def test_a_wrong_type_is_one_clear_line(text: str, why: str) -> None:

@@ -542,6 +542,7 @@ function cycle() {
     if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${milli(master.response_timeout_ms)} for an answer.`));
   }
   if (!made.length) return;
+  if (data.advice.length) made.push(el("h3", {}, "Fewer requests"), el("ul", {}, ...data.advice.map((line) => el("li", {}, line.trim()))));
   show("cycle", plural(made.filter((one) => one.tagName === "DETAILS").length, "list"), made.slice(0, 60));
 }
 function cycleTable(link, list, who, isOpen, part) {

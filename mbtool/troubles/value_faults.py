@@ -1,0 +1,547 @@
+"""VALUE-...: numbers in registers that do what a quantity does not do by itself.
+
+The registers of each kind of request are followed over the whole recording (values/movements.py),
+as the numbers that a profile names, or that their words show. At the end, or when somebody asks,
+these rules look at each number. What it did most of the time is its norm:
+
+- VALUE-STUCK: it moved, and then stays, much longer than ever else, while others in the same answer
+  move as before. A number at 0 or at a round one may rest there, a counter may stand.
+- VALUE-JUMPED: one answer (or a few) is far away and then all is as before; or it moves in small
+  steps over a long way, and once in a large one. If others jump at the same time, it is the plant.
+- VALUE-RESET, VALUE-BACKWARDS: it only rises, and falls once; not if it went on behind its last
+  digit, such as 59, 9999 or 65535.
+- VALUE-NONE: FFFFH, 8000H, 7FFFH (with 32 bits, too) or NaN among numbers that are far from it.
+- VALUE-RANGE, VALUE-NOT-VALID: what the profile says of a number, or of the bits of a state.
+
+A register that a master writes is set, and none of these. Ambiguous frames are left out.
+"""
+
+# False alarms: the rules ask for LEARN answers, and for many changes before a fault. A process may
+# do the same once (a lamp that is switched on for a moment), so the sureness is `likely`.
+#
+# Memory: MAX_POLLS kinds of requests, with BATCH words or LEARNT answers each; some hundred bytes
+# for each number; MAX_JUDGED registers whose types are judged.
+
+from __future__ import annotations
+
+from array import array
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core.wording import counted, duration
+from mbtool.devices.point_types import PointType
+from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus.adu import Verdict
+from mbtool.troubles.sense import Sense
+from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.devices.assignment import Assignments
+    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.modbus.tables import Table
+    from mbtool.values.followed_values import FollowedValue
+    from mbtool.values.movements import Move, Movements, Occurrence
+
+MAX_POLLS = 512
+MAX_WRITTEN = 4096
+BATCH = 8192
+"""So many words of a poll are kept before they are added to its figures, and LEARNT answers."""
+LEARN = 48
+"""With fewer answers than this, it is not known how numbers move."""
+LEARNT = 4 * LEARN
+"""After so many answers, the types of values are judged no more."""
+MOST_ROWS = 64
+"""At most so many answers are looked at for it."""
+MAX_JUDGED = 1500
+"""The types of so many registers that move are judged (3 ms each); others are not followed."""
+LONG_NS = 86_400_000_000_000
+
+MOVES = 20
+"""A number that changed less often than this has no norm."""
+LEVELS = 8
+"""A number with fewer different values may be a state."""
+REST_ROWS, REST_TIMES, REST_USUAL = 40, 5, 25
+"""A number is stuck if it stays for so many answers, so many times longer than at any other time,
+and for so many times its mean time between two changes."""
+OTHERS_SHARE = 0.5
+"""The others must change at least at this share of their usual rate meanwhile."""
+ROUND = 100
+JUMP = 20
+"""A jump is so many times the largest of the usual steps."""
+MOST_JUMPS = 6
+RETURN_ROWS = 3
+"""A number returns from a jump within so many answers."""
+RETURN_SHARE = 0.2
+WAY = 4
+"""A number that moves slowly goes over a range of so many of its largest usual steps."""
+BESIDE = 3
+MOST_BESIDE = 2
+"""Another number jumps too if its step at that time is so many times larger than all of its steps
+but MOST_BESIDE."""
+SELDOM = 50
+"""A number that changes once or twice jumps too if it changes in less than one of so many
+answers."""
+FAR = 2
+"""A word is no number if it is so many times the range of the others away from them."""
+BACK_STEPS = 5
+"""A counter runs backwards if it falls by so many of its mean steps."""
+BACK_SHARE = 0.1
+"""It may run backwards for this share of the answers."""
+_MODULI = (
+    12, 24, 60, 100, 256, 360, 1000, 1440, 3600, 4096, 10_000, 32_768, 43_200,
+    65_536, 86_400, 100_000, 1_000_000, 10_000_000, 16_777_216, 99_999_999, 100_000_000,
+    1_000_000_000, 1 << 31, 1 << 32,
+)  # fmt: skip
+"""Behind the last number below one of these, a counter goes on at 0."""
+
+
+_CODES = (
+    "VALUE-NOT-VALID", "VALUE-NONE", "VALUE-RANGE", "VALUE-RESET", "VALUE-BACKWARDS",
+    "VALUE-JUMPED", "VALUE-STUCK",
+)  # fmt: skip
+
+
+class _Key(NamedTuple):
+    link: str
+    unit: int
+    function: int
+    address: int
+    quantity: int
+
+
+class _Case(NamedTuple):
+    """One fault of one number."""
+
+    code: str
+    value: FollowedValue
+    at_ns: int
+    figures: dict[str, str]
+    answers: int = 1
+    of: int = 0
+    until_ns: int | None = None
+
+
+class _FollowedAnswers:
+    """The answers to one kind of request."""
+
+    def __init__(self) -> None:
+        self.times = array("q")
+        self.words = array("H")
+        self.values: list[FollowedValue] = []
+        self.learnt = 0
+        """The number of answers by which `values` were found."""
+        self.usual_ns = 1
+        """The usual time from one answer to the next."""
+        self.movements: Movements | None = None
+        self.rested = 0
+        """The number of answers that were dropped, as nothing moved in them."""
+        self.is_left_out = False
+
+
+class ValueFaults(Sense):
+    """Finds the troubles VALUE-..."""
+
+    def __init__(self, assignments: Assignments) -> None:
+        self._assignments = assignments
+        self._found: list[Trouble] = []
+        """The troubles of earlier captures."""
+        self._polls: dict[_Key, _FollowedAnswers] = {}
+        self._like: dict[_Key, NamedTransaction] = {}
+        """For polls of slaves that may have a profile: their first transaction."""
+        self._written: set[tuple[str, int, Table, int]] = set()
+        self._judged = 0
+
+    def begin_capture(self) -> None:
+        self._found = list(self.troubles(()))
+        self._polls.clear()
+        self._like.clear()
+        self._written.clear()
+        self._judged = 0
+
+    def transaction(self, one: NamedTransaction) -> None:
+        function = FUNCTIONS.get(one.function)
+        if function is None or function.table is None or one.address is None:
+            return
+        if function.writes:
+            address = one.address if one.write_address is None else one.write_address
+            count = len(one.request_values or ()) or 1
+            self._note_write(one.link, one.unit, function.table, range(address, address + count))
+        values = one.response_values
+        if one.outcome is not Outcome.OK or not values or Verdict.AMBIGUOUS in one.verdicts:
+            return
+        if function.table.is_bits and one.device is None:
+            return
+        key = _Key(one.link, one.unit, one.function, one.address, len(values))
+        poll = self._polls.get(key)
+        if poll is None:
+            poll = self._new_poll(key)
+            if one.device is not None:
+                self._like[key] = one
+        if not poll.is_left_out:
+            poll.times.append(one.start_ns)
+            poll.words.extend(values)
+            self._take(key, poll)
+
+    def reads(self, reads: Sequence[AnsweredReads]) -> None:
+        """Take many answered reads and writes of slaves without profiles together."""
+        for one in reads:
+            function = FUNCTIONS[one.function]
+            if function.table is None or function.table.is_bits:
+                continue
+            if function.writes:
+                span = range(one.address, one.address + one.quantity)
+                self._note_write(one.link, one.unit, function.table, span)
+                continue
+            key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
+            poll = self._polls.get(key) or self._new_poll(key)
+            if not poll.is_left_out:
+                poll.times.extend(one.request_ns)
+                poll.words.frombytes(one.values.words())
+                self._take(key, poll)
+
+    def _note_write(self, link: str, unit: int, table: Table, span: range) -> None:
+        if len(self._written) < MAX_WRITTEN:
+            self._written.update((link, unit, table, address) for address in span)
+
+    def _new_poll(self, key: _Key) -> _FollowedAnswers:
+        poll = _FollowedAnswers()
+        poll.is_left_out = not 0 < key.quantity <= 2000
+        if len(self._polls) < MAX_POLLS:
+            self._polls[key] = poll
+        return poll
+
+    def _take(self, key: _Key, poll: _FollowedAnswers) -> None:
+        """Add the answers that wait to the figures of their poll, if they are many."""
+        if len(poll.times) >= LEARNT and len(poll.words) >= BATCH:
+            self._movements(key, poll)
+
+    def _movements(self, key: _Key, poll: _FollowedAnswers) -> Movements | None:
+        """Return the figures of all answers of a poll; None if nothing is known of its values."""
+        from mbtool.values.movements import Movements
+
+        rows = len(poll.times)
+        if poll.movements is None:
+            if not (poll.is_left_out or self._find_values(key, poll)):
+                return None
+            if poll.is_left_out:
+                del poll.times[:], poll.words[:]
+                return None
+            rows = len(poll.times)
+            movements = Movements(poll.values, poll.usual_ns, poll.rested)
+            if rows < LEARNT:
+                movements.add(poll.times, poll.words.tobytes())
+                return movements
+            poll.movements = movements
+        if rows:
+            poll.movements.add(poll.times, poll.words.tobytes())
+            del poll.times[:], poll.words[:]
+        return poll.movements
+
+    def _find_values(self, key: _Key, poll: _FollowedAnswers) -> bool:
+        """Find which values a poll has; return False if it is too early for that.
+
+        Their types are judged from the first LEARN answers, and again from twice as many, until
+        LEARNT; so they do not depend on when somebody asks.
+        """
+        from mbtool.values.followed_values import judged_values, values_of_profile
+        from mbtool.values.judging import WordHistory
+
+        table = FUNCTIONS[key.function].table
+        assert table is not None
+        size = key.quantity
+        number = LEARN
+        while number * 2 <= min(len(poll.times), LEARNT):
+            number *= 2
+        if len(poll.times) < number:
+            return False
+        rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
+        like = self._like.get(key)
+        profile = None if like is None else self._assignments.profile_for(like)
+        if profile is None and all(row == rows[0] for row in rows):
+            if number < LEARNT:
+                return False
+            del poll.times[: LEARNT - 1], poll.words[: (LEARNT - 1) * size]
+            poll.rested += LEARNT - 1
+            return self._find_values(key, poll)
+        if poll.learnt == number:
+            return True
+        times = poll.times[:number].tolist()
+        gaps = sorted(after - before for before, after in pairwise(times))
+        poll.usual_ns = max(gaps[len(gaps) // 2], 1)
+        if profile is not None:
+            poll.values = values_of_profile(profile, table, key.address, size)
+        else:
+            if not poll.learnt:
+                self._judged += sum(len(set(column)) > 1 for column in zip(*rows, strict=True))
+            poll.values = []
+            if self._judged <= MAX_JUDGED:
+                every = -(-number // MOST_ROWS)
+                history = WordHistory(table, key.address, times[::every], rows[::every])
+                poll.values = judged_values(history)
+        poll.learnt = number
+        poll.is_left_out = not poll.values
+        return True
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        yield from self._found
+        units: dict[tuple[str, int], list[tuple[Table, Movements]]] = {}
+        for key, poll in self._polls.items():
+            table, movements = FUNCTIONS[key.function].table, self._movements(key, poll)
+            if table is not None and movements is not None:
+                units.setdefault((key.link, key.unit), []).append((table, movements))
+        for (link, unit), own in units.items():
+            cases = [
+                (table, movements, case)
+                for table, movements in own
+                for case in _cases(movements, [one for _, one in own if one is not movements])
+            ]
+            # A register has one fault; the same one may show in several polls.
+            cases.sort(key=lambda one: _CODES.index(one[2].code))
+            taken = {each[2:] for each in self._written if each[:2] == (link, unit)}
+            by_code: dict[str, list[tuple[Movements, _Case]]] = {}
+            for table, movements, case in cases:
+                first = case.value.address
+                span = {(table, at) for at in range(first, first + case.value.reading.words)}
+                if taken.isdisjoint(span):
+                    taken |= span
+                    by_code.setdefault(case.code, []).append((movements, case))
+            for code, some in by_code.items():
+                yield _trouble(link, unit, code, some)
+
+
+def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case]]) -> Trouble:
+    cases.sort(key=lambda one: one[1].at_ns)
+    movements, first = cases[0]
+    evidence: list[Evidence] = []
+    for _, one in cases:
+        keep(evidence, Evidence(ts_ns=one.at_ns, text=_text(one)))
+    more = len(cases) - 1
+    return Trouble(
+        code=code, link=link, unit=unit, count=sum(one.answers for _, one in cases), of=first.of,
+        since_ns=first.at_ns, until_ns=first.until_ns,
+        is_long=movements.last_ns - movements.first_ns >= LONG_NS,
+        figures={
+            "value": first.value.name,
+            "times": counted(first.answers, "answer", ","),
+            "more": f"; {counted(more, 'more value')} likewise" if more else "",
+            **first.figures,
+        },
+        weight=len(cases), sureness=Sureness.LIKELY, evidence=tuple(evidence),
+    )  # fmt: skip
+
+
+def _text(case: _Case) -> str:
+    figures = case.figures
+    if "before" in figures:
+        return f"{case.value.name}: {figures['before']} to {figures['after']}"
+    return f"{case.value.name}: {figures.get('number', figures.get('text', ''))}"
+
+
+def _cases(movements: Movements, beside: Sequence[Movements]) -> Iterator[_Case]:
+    """Yield the faults of the values of a poll; `beside` has the other polls of the unit."""
+    for place, value in enumerate(movements.values):
+        unset = movements.unset(place)
+        if unset is not None and _is_no_number(movements, place, unset):
+            yield _no_value(movements, value, unset)
+        outside = movements.outside(place)
+        if outside is not None:
+            yield _Case(
+                "VALUE-RANGE", value, outside.at_ns,
+                {"number": value.shown(outside.number), "range": _range(value)},
+                outside.answers, movements.rows,
+            )  # fmt: skip
+        if outside is None and not value.is_state and movements.changes[place] >= MOVES:
+            fault = _fallen(movements, place)
+            if fault is None and _levels(movements, place) >= LEVELS:
+                fault = _jumped(movements, place) or _stuck(movements, place, beside)
+            if fault is not None:
+                yield fault
+    for value, text, seen in movements.not_valid():
+        yield _Case(
+            "VALUE-NOT-VALID", value, seen.at_ns, {"text": text}, seen.answers, movements.rows
+        )
+
+
+def _levels(movements: Movements, place: int) -> float:
+    """About the number of different values that a number had."""
+    width = movements.high[place] - movements.low[place]
+    return float(width / movements.least_step[place]) + 1
+
+
+def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
+    low, high = float(movements.low[place]), float(movements.high[place])
+    if movements.changes[place] < MOVES or _levels(movements, place) < LEVELS:
+        return False
+    away = max(low - unset.number, unset.number - high)
+    if not away <= FAR * (high - low):  # Of NaN, too, this is true.
+        return True
+    # Two steps may be larger than usual, as the number went on meanwhile.
+    return away >= JUMP * movements.steps(place)[2].size
+
+
+def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
+    bits = 16 * value.reading.words
+    is_whole = unset.number == unset.number and abs(unset.number) != float("inf")
+    word = f"{int(unset.number) % (1 << bits):0{bits // 4}X}H" if is_whole else "no number"
+    return _Case(
+        "VALUE-NONE", value, unset.at_ns,
+        {"number": value.shown(unset.number) if is_whole else "NaN", "word": word},
+        unset.answers, movements.rows,
+    )  # fmt: skip
+
+
+def _range(value: FollowedValue) -> str:
+    low = "" if value.minimum is None else f"{value.minimum:g}"
+    high = "" if value.maximum is None else f"{value.maximum:g}"
+    if low and high:
+        return f"{low} to {high}"
+    return f"at least {low}" if low else f"at most {high}"
+
+
+def _fallen(movements: Movements, place: int) -> _Case | None:
+    """Return the fault of a number that otherwise only rises."""
+    value = movements.values[place]
+    rises = int(movements.rises[place])
+    falls = int(movements.changes[place]) - rises
+    first = movements.falls(place)
+    if not first or rises < MOVES:
+        return None
+    step, risen_before = first[0]
+    mean = float(movements.risen[place]) / rises
+    stretch = int(movements.last_fall[place]) - step.row + 1
+    is_once = falls <= 2 or stretch <= BACK_SHARE * movements.rows
+    goes_on = rises - risen_before >= 2 or movements.rows - step.row <= RETURN_ROWS
+    if not is_once or not goes_on or risen_before < MOVES or falls > rises * BACK_SHARE:
+        return None
+    if any(_goes_on_at_zero(value, one, mean) for one, _ in first):
+        return None
+    if _has_returned(movements, place):
+        return None
+    figures = {"before": value.shown(step.before), "after": value.shown(step.after)}
+    if 0 <= step.after <= BACK_SHARE * step.before:
+        return _Case("VALUE-RESET", value, step.at_ns, figures)
+    if sum(one.size for one, _ in first) >= BACK_STEPS * mean:
+        return _Case("VALUE-BACKWARDS", value, step.at_ns, figures)
+    return None
+
+
+def _goes_on_at_zero(value: FollowedValue, step: Move, mean: float) -> bool:
+    """True if a counter goes on at 0 behind its last digit."""
+    reach = 3 * mean + 1
+    is_float = value.reading.type in (PointType.FLOAT32, PointType.FLOAT64)
+    return not is_float and any(
+        modulus - reach <= step.before < modulus + (step.after >= 1)
+        and (step.after - step.before) % modulus <= reach < modulus / 2
+        for modulus in _MODULI
+    )
+
+
+def _jumps(movements: Movements, place: int) -> tuple[list[Move], float]:
+    """Return the steps of a number that are much larger than all others, in the order of time, and
+    the largest of the others; no steps if there is no such gap between their sizes.
+    """
+    steps = movements.steps(place)
+    for at in range(1, min(MOST_JUMPS + 1, len(steps))):
+        if steps[at - 1].size >= JUMP * steps[at].size:
+            return sorted(steps[:at], key=lambda one: one.row), steps[at].size
+    return [], 0.0
+
+
+def _has_returned(movements: Movements, place: int) -> bool:
+    jumps, _ = _jumps(movements, place)
+    return bool(jumps) and _return(jumps)
+
+
+def _jumped(movements: Movements, place: int) -> _Case | None:
+    value = movements.values[place]
+    jumps, usual = _jumps(movements, place)
+    if not jumps:
+        return None
+    jump = jumps[0]
+    mean = float(movements.risen[place]) / max(int(movements.rises[place]), 1)
+    if any(_goes_on_at_zero(value, one, mean) for one in jumps):
+        return None
+    is_slow = len(jumps) == 1 and _is_slow(movements, place, jump.size, usual)
+    if not (_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
+        return None
+    return _Case(
+        "VALUE-JUMPED", value, jump.at_ns,
+        {
+            "before": value.shown(jump.before),
+            "after": value.shown(jump.after),
+            "usual": value.shown_step(usual),
+        },
+        max(len(jumps) // 2, 1), movements.rows,
+    )  # fmt: skip
+
+
+def _return(jumps: Sequence[Move]) -> bool:
+    """True if a number returns from each jump."""
+    return len(jumps) % 2 == 0 and all(
+        back.row - away.row <= RETURN_ROWS
+        and abs(back.after - away.before) <= RETURN_SHARE * away.size
+        for away, back in zip(jumps[::2], jumps[1::2], strict=True)
+    )
+
+
+def _is_slow(movements: Movements, place: int, jump: float, usual: float) -> bool:
+    width = float(movements.high[place] - movements.low[place])
+    return width - jump >= WAY * usual
+
+
+def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bool:
+    """True if another value of the same answers jumps at the same times."""
+    reach = len(jumps) == 1
+    for other in range(len(movements.values)):
+        steps = movements.steps(other) if other != place else []
+        if len(steps) > MOST_BESIDE:
+            steps = [one for one in steps if one.size > BESIDE * steps[MOST_BESIDE].size]
+        elif len(steps) * SELDOM > movements.rows:
+            continue
+        rows = [one.row for one in steps]
+        if rows and all(any(abs(row - one.row) <= reach for row in rows) for one in jumps):
+            return True
+    return False
+
+
+def _stuck(movements: Movements, place: int, beside: Sequence[Movements]) -> _Case | None:
+    value = movements.values[place]
+    rest, second = movements.rests(place)
+    changes = int(movements.changes[place])
+    outside = movements.rows - rest.rows
+    if (
+        rest.rows < REST_ROWS
+        or rest.rows < REST_TIMES * second
+        or outside <= 0
+        or rest.rows * changes < REST_USUAL * outside
+        or rest.value % ROUND == 0
+        or changes == int(movements.rises[place])
+    ):
+        return None
+    end_ns = movements.last_ns if rest.end_ns is None else rest.end_ns
+    others = movements.moves - changes - rest.others
+    if others < MOVES:
+        if not any(_moves_on(one, (end_ns - rest.begin_ns) / 2) for one in beside):
+            return None
+    elif rest.others / rest.rows < OTHERS_SHARE * others / outside:
+        return None
+    return _Case(
+        "VALUE-STUCK", value, rest.begin_ns,
+        {"number": value.shown(rest.value), "rest": duration(end_ns - rest.begin_ns)},
+        rest.rows, movements.rows, rest.end_ns,
+    )  # fmt: skip
+
+
+def _moves_on(movements: Movements, most_ns: float) -> bool:
+    """True if a value never rested for longer than a time (ns)."""
+    for place, changes in enumerate(movements.changes.tolist()):
+        if changes >= MOVES:
+            rest, _ = movements.rests(place)
+            end_ns = movements.last_ns if rest.end_ns is None else rest.end_ns
+            if end_ns - rest.begin_ns <= most_ns:
+                return True
+    return False
