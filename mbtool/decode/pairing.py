@@ -294,7 +294,8 @@ class Pairing:
         # Without silences that tell a retry, it may be a repeater's copy of the response before, or
         # the response to a retry.
         is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
-        is_doubted = response.raw == self._last_answer and not is_heard
+        # Where only slaves are heard, it is the response to the next request.
+        is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
 

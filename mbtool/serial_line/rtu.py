@@ -532,7 +532,10 @@ class RtuSplitter:
                 is_soon = copies.last == raw and self._is_soon(before_ns)
                 copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                self._copies.hear_response(raw, is_certain=pdu[0] not in ECHOING)
+                # Where only slaves are heard, equal responses are no copies of a repeater.
+                is_only = self._model.history.hears_only_slaves
+                is_certain = pdu[0] not in ECHOING and not is_only
+                self._copies.hear_response(raw, is_certain=is_certain)
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(

@@ -409,7 +409,7 @@ def test_points_are_compared_by_name_and_their_numbers_are_among_the_values() ->
         "23.4 in values",
         "not 23.5 in values",
         'point["Flow"] == 23.4',
-        "23.4000 == point[\"Flow\"]",
+        '23.4000 == point["Flow"]',
     ):
         assert parse_where(text)(one), text
     assert not parse_where('point["Absent"] > 0')(one)

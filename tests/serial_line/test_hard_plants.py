@@ -283,3 +283,12 @@ def test_long_frame_of_an_unknown_function_does_not_swallow_frames_with_correct_
     told = [one.raw for one in heard(polls(line, 3).reads(), timed=False) if isinstance(one, Adu)]
     assert response in told
     assert max(map(len, told)) == 8
+
+
+@pytest.mark.parametrize("timed", [True, False], ids=["with times", "without times"])
+def test_equal_responses_where_only_slaves_are_heard_are_no_copies(timed: bool) -> None:
+    line = Line(FORMAT)
+    for number in (*range(6), *[9] * 12):
+        line.frame(rtu_adu(1, bytes.fromhex("03 02 00") + bytes([number])), 40 * MS)
+    told = [one for one in heard(line.reads(), timed=timed) if isinstance(one, Adu)]
+    assert len(told) == 18

@@ -3,6 +3,7 @@
 `python -m tests.adversary.values.faults [--devices 20] [--seed TEXT]`: recordings that others made
 (shared captures), and generated devices, drawn by the hash of the last commit. A fault is only
 injected where the recording shows how the value moves: MOVES changes before it, and room behind it.
+With `--shared`, only what is told of all shared captures as they are.
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from mbtool.cli.main import run
-from mbtool.core import WireEvent
+from mbtool.core import InputError, WireEvent
+from mbtool.ledger.account import Account
+from mbtool.troubles.judge import Judge
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.adversary.illnesses.files import USER0, write_pcap
 from tests.adversary.illnesses.wire import MS, framed
 from tests.adversary.values.generator import _encoded, generated, on_the_wire
+from tests.adversary.values.sure import captures, reading_of
 from tests.captures import public_folder
 
 if TYPE_CHECKING:
@@ -39,6 +43,8 @@ PUBLIC = (
 )
 MOVES = 21
 REST = 50
+MOST_GAP_S = 60
+"""A longer time without a request (s) counts as this: nobody polled."""
 SLOT_NS = 40 * MS
 STUCK, JUMPED, RESET, BACKWARDS, NO_VALUE, RANGE, NOT_VALID = CODES = (
     "VALUE-STUCK", "VALUE-JUMPED", "VALUE-RESET", "VALUE-BACKWARDS", "VALUE-NONE", "VALUE-RANGE",
@@ -357,13 +363,42 @@ def _is_of(name: str, fault: Fault, point: str) -> bool:
     return int(first) < value.address + value.words and int(last or first) >= value.address
 
 
+def tell_of_shared() -> None:
+    """Print the troubles of values of all shared captures, and how long their polling is."""
+    number, hours = 0, 0.0
+    with TemporaryDirectory() as folder:
+        for path in captures():
+            judge = Judge(Account(lambda _: None))
+            name, options = reading_of(path, Path(folder))
+            last_ns = 0
+            try:
+                for one in Reading([name], options).records():
+                    judge.count(one)
+                    if not isinstance(one, WireEvent):
+                        gap_ns = one.start_ns - last_ns if last_ns else 0
+                        hours += min(max(gap_ns, 0), MOST_GAP_S * 10**9) / 3.6e12
+                        last_ns = one.start_ns
+            except InputError as error:
+                print(str(error)[:90])
+            for trouble in judge.judgement().troubles:
+                for each in trouble.all:
+                    if each.code.startswith("VALUE-"):
+                        number += 1
+                        print(f"{path.name}: {each.cause}")
+    print(f"troubles of values in shared captures: {number} in {hours:.2f} h of polling")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--devices", type=int, default=20)
     parser.add_argument("--seed")
     parser.add_argument("--each", type=int, default=3, help="values of each recording and kind")
     parser.add_argument("--missed", action="store_true", help="print what was not named")
+    parser.add_argument("--shared", action="store_true", help="look for false alarms only")
     chosen = parser.parse_args()
+    if chosen.shared:
+        tell_of_shared()
+        return
     seed = (
         chosen.seed
         or subprocess.run(

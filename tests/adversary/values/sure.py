@@ -35,15 +35,20 @@ def captures() -> list[Path]:
     return [path for path in sorted(public_folder().rglob("*")) if path.suffix in SUFFIXES]
 
 
+def reading_of(path: Path, folder: Path) -> tuple[str, ReadingOptions]:
+    """The file to read, and how; a log that only we can read is written anew into a folder."""
+    if path.name != METER:
+        return str(path), ReadingOptions()
+    bytes_ = folder / "meter.csv"
+    bytes_.write_text(as_byte_times(path.read_text()))
+    return str(bytes_), ReadingOptions(line=parse_line("rtu@19200-8E1"))
+
+
 def slaves_of(path: Path, folder: Path) -> list[ObservedSlave]:
     slaves = ObservedSlaves(with_values=True)
-    options = ReadingOptions()
-    if path.name == METER:
-        bytes_ = folder / "meter.csv"
-        bytes_.write_text(as_byte_times(path.read_text()))
-        path, options = bytes_, ReadingOptions(line=parse_line("rtu@19200-8E1"))
+    name, options = reading_of(path, folder)
     try:
-        slaves.add(Reading([str(path)], options).records())
+        slaves.add(Reading([name], options).records())
     except InputError as error:
         print(f"{path.name}: {str(error)[:90]}")
     return list(slaves.slaves)
