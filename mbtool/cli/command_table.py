@@ -1,15 +1,21 @@
 """The commands of mbtool by name; the module of a command is imported when it is looked up."""
 
 # Importing all commands takes as long as decoding a small file. So a command line imports only the
-# command that it names; only the help of mbtool itself, which lists them, imports all.
+# command that it names. The help of mbtool itself, which lists all, needs the docstrings of their
+# functions only; it takes these from the compiled modules, without running them.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from importlib import import_module
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import CodeType
 from typing import TYPE_CHECKING, Any
 
 import typer
+from typer.core import TyperCommand
 from typer.main import get_group
 
 from mbtool.cli.command import Command
@@ -59,6 +65,27 @@ class CommandTable(Mapping[str, Any]):
 
     def __contains__(self, name: object) -> bool:
         return name in _MODULES
+
+    def listed(self) -> dict[str, Any]:
+        """Return commands that have the right names and help texts, but no options: enough for a
+        list of them.
+        """
+        found = {}
+        for name, module in _MODULES.items():
+            text = _docstring(name, module)
+            found[name] = self[name] if text is None else TyperCommand(name, help=text)
+        return found
+
+
+def _docstring(name: str, module: str) -> str | None:
+    """Return the docstring of the function of a command; None if it is none."""
+    full = f"{__package__}.{module}"
+    compiled = SourceFileLoader(full, str(Path(__file__).with_name(f"{module}.py"))).get_code(full)
+    for code in () if compiled is None else compiled.co_consts:
+        if isinstance(code, CodeType) and code.co_name == name and code.co_consts:
+            text = code.co_consts[0]
+            return inspect.cleandoc(text) if isinstance(text, str) else None
+    return None
 
 
 def _load(name: str, module: str) -> Any:

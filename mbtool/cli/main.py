@@ -44,7 +44,13 @@ class _Root(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        commands: Any = CommandTable()
+        self._table = CommandTable()
+        commands: Any = self._table
+        self.commands = commands
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        commands, self.commands = self.commands, self._table.listed()
+        super().format_commands(ctx, formatter)
         self.commands = commands
 
     def get_params(self, ctx: Any) -> list[Any]:

@@ -14,13 +14,39 @@ Octets = npt.NDArray[np.uint8]
 Numbers = Int64s | npt.NDArray[np.uint16]
 
 
-def narrow(numbers: Int64s) -> Numbers:
+def narrow(numbers: Numbers) -> Numbers:
     """Return the numbers as a uint16 array if all are from 0 to 65535, else the same int64 array.
 
     numpy sorts uint16 several times as fast as int64.
     """
     has_room = len(numbers) and numbers.min() >= 0 and numbers.max() < 1 << 16
     return numbers.astype(np.uint16) if has_room else numbers
+
+
+def distinct(values: Numbers) -> list[int]:
+    """Return the values that are in an array, each once and sorted."""
+    # numpy.unique without indices would load the module numpy.ma, which takes 20 ms.
+    found: list[int] = np.unique(values, return_index=True)[0].tolist()
+    return found
+
+
+class Groups:
+    """Groups the indices of an array by its values; groups are sorted by value."""
+
+    def __init__(self, values: Numbers) -> None:
+        self.order: Int64s = np.argsort(narrow(values), kind="stable")
+        """The indices of the first group, in order, then those of the next one, and so on."""
+        some = values[self.order]
+        is_new = np.append(True, some[1:] != some[:-1])[: len(some)]
+        self.starts: Int64s = np.flatnonzero(is_new)
+        """For each group, the place in `order` of its first index."""
+        self.ends: Int64s = np.append(self.starts[1:], len(some))[: len(self.starts)]
+        """For each group, the place in `order` behind its last index."""
+        self.first: Int64s = self.order[self.starts]
+        self.last: Int64s = self.order[self.ends - 1]
+        self.number: Int64s = np.empty(len(some), np.int64)
+        """For each index the number of its group."""
+        self.number[self.order] = np.cumsum(is_new) - 1
 
 
 def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[Any]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from mbtool.columns.arrays import Bools, Int64s, Octets, pieces
+from mbtool.columns.arrays import Bools, Int64s, Octets, distinct, pieces
 from mbtool.columns.plain_transactions import PlainObjects, origin_fields
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
@@ -67,7 +67,7 @@ class PlainTables:
         source_macs, destination_macs, response_macs, vlans = zip(*origins, strict=True)
         exception = usual.exception[chosen]
         is_exception = exception >= 0
-        codes = np.unique(exception[is_exception])
+        codes = np.array(distinct(exception[is_exception]), np.int64)
         columns: dict[str, Any] = {
             "link": _words([one.link for one in connections], ends),
             "transport": _words([Transport.TCP.value], np.zeros(len(chosen), np.int64)),

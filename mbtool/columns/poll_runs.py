@@ -5,7 +5,8 @@ without making an object of each.
 # Only the usual reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
 # they have the same link, master address (without port), slave and MAC addresses, and if their PDUs
 # have the same unit, function, address, quantity and exception code. Only the first transaction of
-# each kind is made an object with names, as the Decoder makes it. It stands for all of its kind.
+# those that differ in address only is made an object with names, as the Decoder makes it. Copies of
+# it with other addresses stand for all of their kinds.
 #
 # Memory: about MAX_KINDS such objects are kept between blocks. If there are more, all are forgotten
 # and made again when needed.
@@ -16,8 +17,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import structs
 
-from mbtool.columns.arrays import narrow
+from mbtool.columns.arrays import Groups
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.plain_transactions import PlainObjects, origin_fields
 from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
+_ADDRESS = 0xFFFF << 16
+"""The bits of the address in `UsualRows.asked`."""
 _Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
@@ -44,6 +48,8 @@ class KindsOfRows(NamedTuple):
 
     likes: list[NamedTransaction]
     """An example transaction of each kind of poll, from this block or an earlier one."""
+    form: list[int]
+    """For each kind a number, equal for those that differ in address only."""
     kind: Int64s
     """For each row, the index of its kind; meaningless for a row that is no usual read or write.
     """
@@ -55,6 +61,10 @@ class PollRuns:
     def __init__(self, objects: PlainObjects) -> None:
         self._objects = objects
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
+        """An example of each kind of poll, by place and `UsualRows.asked`."""
+        self._forms: dict[tuple[_Place, int], NamedTransaction] = {}
+        """By the same key with address 0, the example whose values and bytes all examples have
+        that differ in address only."""
 
     def kinds_of(self, rows: PlainRows, usual: UsualValues) -> KindsOfRows:
         """Return an example transaction of each kind of poll in the block, and for each row the
@@ -64,25 +74,39 @@ class PollRuns:
         """
         if len(self._kinds) > MAX_KINDS:
             self._kinds.clear()
+            self._forms.clear()
         places = _places(rows)
         numbers: dict[_Place, int] = {}
         place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
         asked = usual.asked
         asked[~usual.is_usual] = -1
-        distinct, like = np.unique(asked, return_inverse=True)
-        _, first, kind = np.unique(
-            narrow(place_of[rows.connection] * len(distinct) + like),
-            return_index=True,
-            return_inverse=True,
-        )
+        like = Groups(asked)
+        groups = Groups(place_of[rows.connection] * len(like.first) + like.number)
         keys = [
             (places[end], one)
-            for end, one in zip(rows.connection[first].tolist(), asked[first].tolist(), strict=True)
+            for end, one in zip(
+                rows.connection[groups.first].tolist(), asked[groups.first].tolist(), strict=True
+            )
         ]
         missing = [place for place, key in enumerate(keys) if key not in self._kinds]
-        made = self._objects.of(rows, usual).chosen(first[missing])
-        self._kinds.update(zip([keys[place] for place in missing], made, strict=True))
-        return KindsOfRows([self._kinds[key] for key in keys], kind)
+        forms = [(keys[place][0], keys[place][1] & ~_ADDRESS) for place in missing]
+        unknown = {
+            form: int(groups.first[place])
+            for form, place in zip(forms, missing, strict=True)
+            if form not in self._forms
+        }
+        made = self._objects.of(rows, usual).chosen(np.array([*unknown.values()], np.int64))
+        self._forms.update(zip(unknown, made, strict=True))
+        namer = self._objects.namer
+        for place, form in zip(missing, forms, strict=True):
+            key, one = keys[place], self._forms[form]
+            address = key[1] >> 16 & 0xFFFF
+            if one.address != address and key[1] >= 0:
+                one = namer.as_kind(structs.replace(one, address=address))
+            self._kinds[key] = one
+        known: dict[tuple[_Place, int], int] = {}
+        form_of = [known.setdefault((end, one & ~_ADDRESS), len(known)) for end, one in keys]
+        return KindsOfRows([self._kinds[key] for key in keys], form_of, groups.number)
 
 
 def _places(rows: PlainRows) -> list[_Place]:
@@ -126,17 +150,11 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
     """
     some = slice(begin, end)
     request_ns, response_ns = rows.request_ns[some], rows.response_ns[some]
-    found, first, local = np.unique(
-        narrow(kinds.kind[some]), return_index=True, return_inverse=True
-    )
-    by_first = np.argsort(first)
-    number = np.empty(len(found), np.int64)
-    number[by_first] = np.arange(len(found))
-    local = number[local]
-    order = np.argsort(narrow(local), kind="stable")
-    counts = np.bincount(local)
-    ends = np.cumsum(counts)
-    starts = ends - counts
+    groups = Groups(kinds.kind[some])
+    order, starts = groups.order, groups.starts
+    by_first = np.argsort(groups.first)
+    number = np.empty(len(starts), np.int64)
+    number[by_first] = np.arange(len(starts))
     latencies = (response_ns - request_ns)[order].tolist()
     times = request_ns[order].tolist()
     first_ns = np.minimum.reduceat(request_ns[order], starts)
@@ -149,21 +167,25 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
             end_ns,
             times[start:stop],
             latencies[start:stop],
-            partial(_packets_of, rows, order[start:stop] + begin),
+            partial(_packets_of, rows, order[start:stop], begin),
+            kinds.form[which],
         )
         for which, start, stop, begin_ns, end_ns in zip(
-            found[by_first].tolist(),
-            starts.tolist(),
-            ends.tolist(),
-            first_ns.tolist(),
-            last_ns.tolist(),
+            kinds.kind[some][groups.first[by_first]].tolist(),
+            starts[by_first].tolist(),
+            groups.ends[by_first].tolist(),
+            first_ns[by_first].tolist(),
+            last_ns[by_first].tolist(),
             strict=True,
         )
     ]
-    return AnsweredRun(alike, local.tolist(), request_ns.tolist(), response_ns.tolist())
+    kind = number[groups.number].tolist()
+    return AnsweredRun(alike, kind, request_ns.tolist(), response_ns.tolist())
 
 
-def _packets_of(rows: PlainRows, places: Int64s, index: int) -> tuple[int, int]:
-    """Return the packets of request and response of one of the rows with the indices `places`."""
-    row, first = int(places[index]), rows.block.first_number
+def _packets_of(rows: PlainRows, places: Int64s, begin: int, index: int) -> tuple[int, int]:
+    """Return the packets of request and response of one of the rows that are `places` behind the
+    row `begin`.
+    """
+    row, first = begin + int(places[index]), rows.block.first_number
     return first + int(rows.request[row]), first + int(rows.response[row])

@@ -3,21 +3,23 @@ object of each.
 """
 
 # A row of the arrays is one transaction. It is quiet if it is one of the usual reads and writes
-# (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
-# does not read holding registers of a SunSpec slave (sunspec_rows.py), and if no other request was
-# open on its connection meanwhile. Every other row is made a transaction object.
+# (usual_rows.py), has a function, address, quantity and exception code that give no finding, has no
+# exception of a gateway, does not read holding registers of a SunSpec slave (sunspec_rows.py), and
+# if no other request was open on its connection meanwhile. Every other row is made a transaction
+# object.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 
-from mbtool.columns.arrays import Bools, Int64s, narrow
+from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
 from mbtool.columns.block_values import BlockValues
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
@@ -29,12 +31,13 @@ from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import (
     QuietConnection,
     QuietPoll,
+    QuietRequest,
     QuietRun,
-    QuietWrite,
 )
 from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
 from mbtool.ledger.answered_run import ConnectionCounts
 from mbtool.modbus.functions import (
+    GATEWAY_EXCEPTIONS,
     WRITE_ONE,
     WRITE_SEVERAL,
 )
@@ -72,7 +75,9 @@ class QuietParts:
     connections that were read from arrays as a whole.
     """
 
-    def __init__(self, namer: Namer) -> None:
+    def __init__(self, namer: Namer, *, exceptions: bool = True) -> None:
+        """Without `exceptions`, a transaction whose response is an exception is an object."""
+        self._exceptions = exceptions
         self._objects = PlainObjects(namer)
         self._sunspec = SunSpecRows()
         self._runs = PollRuns(self._objects)
@@ -92,7 +97,9 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(rows, self._objects, self._sunspec, self._runs)
+        block = _QuietBlock(
+            rows, self._objects, self._sunspec, self._runs, exceptions=self._exceptions
+        )
         yield from block.parts(records, passed)
 
 
@@ -111,6 +118,8 @@ class _QuietBlock:
         objects: PlainObjects,
         sunspec: SunSpecRows,
         runs: PollRuns,
+        *,
+        exceptions: bool,
     ) -> None:
         self._rows = rows
         self._runs = runs
@@ -118,8 +127,10 @@ class _QuietBlock:
         self._objects = objects.of(rows, usual)
         asked = rows.code << 32 | usual.address << 16 | usual.quantity
         usual.is_usual &= ~(sunspec.find(rows, usual) | self._objects.have_profile())
-        is_answered = usual.is_usual & (usual.exception < 0)
-        self._is_quiet = self._without_findings(is_answered)
+        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS]) if exceptions else (
+            usual.exception >= 0
+        )  # fmt: skip
+        self._is_quiet = self._without_findings(usual.is_usual & ~is_apart)
         known = {one: number for number, one in enumerate(dict.fromkeys(rows.connections))}
         self._ends = [(one.link, str(one.master), str(one.slave)) for one in known]
         self._hosts = [one.master.host for one in known]
@@ -224,18 +235,24 @@ class _QuietBlock:
     def transaction(self, index: int) -> NamedTransaction:
         return self._objects.one(index)
 
+    def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
+        return self._objects.chosen(indices)
+
     def transactions(self, begin: int, end: int) -> Iterator[NamedTransaction]:
         return self._objects.some(begin, end)
 
     def run(self, begin: int, end: int) -> QuietRun:
         """Return the figures about items, all of them quiet rows and events."""
         first, last = self.rows_of(begin, end)
+        polls = cache(partial(self._quiet_polls, first, last))
         return QuietRun(
             self._quiet_connections(begin, end),
-            lambda: [self._quiet_poll(places) for places in _alike(self._master_poll, first, last)],
-            lambda: self._quiet_writes(first, last),
-            self.transaction,
+            lambda: polls()[0],
+            lambda: self._quiet_requests(self._writes_of(first, last), first, polls()[1]),
+            lambda: self._quiet_requests(np.arange(first, last), first, polls()[1]),
+            self._head,
             self._events.last_ns(*self._events_before[[begin, end]].tolist()),
+            has_exceptions=bool((self._usual.exception[first:last] >= 0).any()),
         )
 
     def answered(self, begin: int, end: int) -> AnsweredRun:
@@ -286,46 +303,84 @@ class _QuietBlock:
 
     def _without_findings(self, is_answered: Bools) -> Bools:
         """Return for each answered row True if it gives no finding. Without a profile, that depends
-        on its function, its quantity, and on its last address being possible.
+        on its function, its quantity, its exception code, and on its last address being possible.
         """
         rows, usual, places = self._rows, self._usual, np.flatnonzero(is_answered)
         is_beyond = usual.address + usual.quantity > ADDRESSES
-        form = rows.code << 32 | is_beyond.astype(np.int64) << 16 | usual.quantity
+        form = (
+            usual.exception + 1 << 40
+            | rows.code << 32
+            | is_beyond.astype(np.int64) << 16
+            | usual.quantity
+        )
         _, first, kind = np.unique(form[places], return_index=True, return_inverse=True)
         is_clean = [not one.findings for one in self._objects.chosen(places[first])]
         is_quiet = np.zeros(len(form), np.bool_)
         is_quiet[places] = np.array(is_clean, np.bool_)[kind]
         return is_quiet
 
-    def _quiet_poll(self, places: Int64s) -> QuietPoll:
-        rows, usual, first = self._rows, self._usual, int(places[0])
-        connection = rows.connections[rows.connection[first]]
-        return QuietPoll(
-            connection.link,
-            connection.master.host,
-            int(rows.unit[first]),
-            int(rows.code[first]),
-            int(usual.address[first]),
-            int(usual.quantity[first]),
-            first,
-            rows.request_ns[places].tolist(),
+    def _head(self, index: int) -> NamedTransaction:
+        """Return the transaction of a row with the values and bytes of an equal request."""
+        rows, kinds, number = self._rows, self._kinds, self._rows.block.first_number
+        begin_ns, end_ns = rows.request_ns.item(index), rows.response_ns.item(index)
+        return structs.replace(
+            kinds.likes[kinds.kind.item(index)],
+            file=rows.block.file,
+            source=self._ends[self._connection.item(index)][1],
+            transaction_id=rows.transaction_id.item(index),
+            request_ns=begin_ns,
+            response_ns=end_ns,
+            latency_ns=end_ns - begin_ns,
+            request_packet=number + rows.request.item(index),
+            response_packet=number + rows.response.item(index),
         )
 
-    def _quiet_writes(self, begin: int, end: int) -> list[QuietWrite]:
+    def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], Int64s]:
+        """Return the polls of rows, sorted by their last rows; and the index of each row's poll."""
+        rows, usual = self._rows, self._usual
+        groups = Groups(self._master_poll[begin:end])
+        by_last = np.argsort(groups.last)
+        first = (groups.first + begin)[by_last]
+        times = rows.request_ns[begin:end][groups.order].tolist()
+        bounds = zip(groups.starts[by_last].tolist(), groups.ends[by_last].tolist(), strict=True)
+        fields = zip(
+            [self._ends[one][0] for one in self._connection[first].tolist()],
+            [self._hosts[one] for one in self._connection[first].tolist()],
+            rows.unit[first].tolist(),
+            rows.code[first].tolist(),
+            usual.address[first].tolist(),
+            usual.quantity[first].tolist(),
+            first.tolist(),
+            [times[start:stop] for start, stop in bounds],
+            strict=True,
+        )
+        polls = [*map(QuietPoll._make, fields)]  # Faster than to call QuietPoll.
+        number = np.empty(len(first), np.int64)
+        number[by_last] = np.arange(len(first))
+        return polls, number[groups.number]
+
+    def _writes_of(self, begin: int, end: int) -> Int64s:
         first, last = np.searchsorted(self._writes, (begin, end)).tolist()
-        chosen, rows = self._writes[first:last], self._rows
-        if not len(chosen):
-            return []
+        return self._writes[first:last]
+
+    def _quiet_requests(self, chosen: Int64s, begin: int, polls: Int64s) -> list[QuietRequest]:
+        """Return the requests of the chosen rows; `polls` has the index of the poll of each row
+        from `begin` on.
+        """
+        rows, number = self._rows, self._rows.block.first_number
         ends = [self._ends[one] for one in self._connection[chosen].tolist()]
-        number = rows.block.first_number
         requests, responses = rows.request[chosen] + number, rows.response[chosen] + number
-        packets = zip(requests.tolist(), responses.tolist(), strict=True)
-        return [
-            QuietWrite(source, destination, at_ns, place, both)
-            for (_, source, destination), at_ns, place, both in zip(
-                ends, rows.request_ns[chosen].tolist(), chosen.tolist(), packets, strict=True
-            )
-        ]
+        fields = zip(
+            polls[chosen - begin].tolist(),
+            [source for _, source, _ in ends],
+            [destination for _, _, destination in ends],
+            rows.request_ns[chosen].tolist(),
+            chosen.tolist(),
+            zip(requests.tolist(), responses.tolist(), strict=True),
+            self._usual.exception[chosen].tolist(),
+            strict=True,
+        )
+        return [*map(QuietRequest._make, fields)]
 
     def _quiet_connections(self, begin: int, end: int) -> list[QuietConnection]:
         """Return the connections of items, in the order of their last requests or openings."""
@@ -347,7 +402,7 @@ class _QuietBlock:
         bounds = [0, *np.cumsum(np.minimum(ends - starts, MAX_RECENT)).tolist()]
         unit, of_unit = rows.unit[order], np.repeat(np.arange(len(starts)), ends - starts)
         units: list[set[int]] = [set() for _ in numbers]
-        for both in np.unique(of_unit << 8 | unit).tolist():
+        for both in distinct(of_unit << 8 | unit):
             units[both >> 8].add(both & 0xFF)
         opened = self._events.opened(*self._events_before[[begin, end]].tolist())
         found = []
@@ -381,7 +436,7 @@ class _QuietBlock:
         numbers = events.connection[event:until]
         pairs = self._link_host[numbers]
         found = []
-        for pair in np.unique(pairs).tolist():
+        for pair in distinct(pairs):
             places = np.flatnonzero(pairs == pair)
             steps = np.where(events.opens[event:until][places], 1, -1)
             opened = places[steps > 0] + event
@@ -499,6 +554,10 @@ class BlockRows:
         first, last = self._rows
         return self._block.transactions(first, min(first + count, last))
 
+    def chosen(self, places: list[int]) -> Iterator[NamedTransaction]:
+        """Yield the transactions at these indices."""
+        return self._block.chosen(np.array(places, np.int64) + self._rows[0])
+
     def records(self, count: int) -> Iterator[Record]:
         return self._block.items(self._begin, self._block.behind(self._begin, self._end, count))
 
@@ -535,8 +594,6 @@ def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
 
     Returns the indices of the rows of each group. The groups are sorted by their last rows.
     """
-    some = group[begin:end]
-    order = np.argsort(some, kind="stable")
-    cuts = np.flatnonzero(np.diff(some[order])) + 1
-    groups = np.split(order + begin, cuts)
-    return sorted(groups, key=lambda one: int(one[-1]))
+    groups = Groups(group[begin:end])
+    found = np.split(groups.order + begin, groups.starts[1:])
+    return [found[one] for one in np.argsort(groups.last).tolist()]

@@ -33,7 +33,7 @@ from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
@@ -177,18 +177,16 @@ class Account:
         """
         for counts in run.connections:
             self._add_connections(counts)
-        if not self._has_room(run):
+        if not self._has_links(run):
             for one in run.transactions():
                 self._add_transaction(one)
             return
         self.transactions += len(run)
-        polls = [self._count_alike(kind) for kind in run.kinds]
-        for poll, latencies in run.latencies_of(polls).items():
-            poll.tally.latency.add_all(latencies)
-        self._count_links(run)
-        self._touch(run, polls)
-        of_kind = [polls[kind] for kind in run.kind]
-        self._order.add_answered(run.request_ns, of_kind, run.response_ns)
+        forms = run.forms()
+        for form in forms:
+            self._count_form(form)
+        self._count_links(forms)
+        self._order.add_answered(run.request_ns, self._count_polls(run), run.response_ns)
 
     def begin_capture(self) -> None:
         """Note that the next transaction or event belongs to another capture, perhaps of another
@@ -238,7 +236,7 @@ class Account:
             use = self._use(one, self._host(one.source))
             tally = use.tally
         else:
-            poll = self._poll(one)
+            poll = self._poll(poll_key(one, self._host(one.source)), one)
             use, tally = poll.use, poll.tally
         if self.observation is not None and (poll is None or _is_new_kind(tally, one)):
             self._note_kind(use, one)
@@ -292,32 +290,58 @@ class Account:
         if use.master is not None:
             use.master.note(one, at_ns, end_ns)
 
-    def _has_room(self, run: AnsweredRun) -> bool:
-        """True if all links and polls of the batch `run` fit below MAX_LINKS and MAX_POLLS, and
-        none of its links is a serial line whose bytes have no times.
+    def _has_links(self, run: AnsweredRun) -> bool:
+        """True if all links of the batch `run` fit below MAX_LINKS, and none of them is a serial
+        line whose bytes have no times.
         """
-        likes = [kind.like for kind in run.kinds]
-        links = {like.link for like in likes}
+        links = {kind.like.link for kind in run.kinds}
         known = [self.links[link] for link in links if link in self.links]
         if len(self.links) + len(links) - len(known) > MAX_LINKS:
             return False
-        polls = {poll_key(like, self._host(like.source)) for like in likes}
-        if len(self.polls) + len(polls - self.polls.keys()) > MAX_POLLS:
-            return False
         return all(link.has_times for link in known)
 
-    def _count_alike(self, kind: AlikeRequests) -> PollStatistics:
-        """Count a group of equal requests, but not the latencies of their poll, and return the poll
-        that they belong to.
+    def _count_polls(self, run: AnsweredRun) -> list[PollStatistics]:
+        """Count the requests of a batch with their polls; return the poll of each request.
+
+        If there is no room for all polls, each request is counted by itself, so that the same polls
+        are removed as if `add` was called for each.
         """
-        like, number = kind.like, kind.count
+        likes = [kind.like for kind in run.kinds]
+        keys = [poll_key(like, self._host(like.source)) for like in likes]
+        if len(self.polls) + len({*keys} - self.polls.keys()) > MAX_POLLS:
+            found = []
+            for kind, begin_ns, end_ns in run.each():
+                poll = self._count_poll(keys[kind], likes[kind], 1)
+                poll.tally.latency.add(end_ns - begin_ns)
+                found.append(poll)
+            return found
+        polls = [
+            self._count_poll(key, kind.like, kind.count)
+            for key, kind in zip(keys, run.kinds, strict=True)
+        ]
+        for poll, latencies in run.latencies_of(polls).items():
+            poll.tally.latency.add_all(latencies)
+        # `self.polls` is kept in the order of the last requests, as the first poll is removed at
+        # the limit.
+        for one in reversed(dict.fromkeys(reversed(run.kind))):
+            self.polls.move_to_end(keys[one])
+        return [polls[kind] for kind in run.kind]
+
+    def _count_poll(self, key: PollKey, like: NamedTransaction, number: int) -> PollStatistics:
+        """Count `number` equal requests of the poll with this key, but not their latencies."""
+        poll = self._poll(key, like)
+        if self.observation is not None and _is_new_kind(poll.tally, like):
+            self._note_kind(poll.use, like)
+        poll.tally.count_alike(like, number)
+        return poll
+
+    def _count_form(self, kind: AlikeRequests) -> None:
+        """Count a group of requests with their link, unit and master."""
+        like = kind.like
         link = self._link(like.link)
         link.note_span(like, kind.begin_ns, kind.end_ns)
-        poll = self._poll(like)
-        use, unit = poll.use, poll.use.unit
-        if self.observation is not None and _is_new_kind(poll.tally, like):
-            self._note_kind(use, like)
-        poll.tally.count_alike(like, number)
+        use = self._use(like, self._host(like.source))
+        unit = use.unit
         unit.note(like, kind.begin_ns, kind.end_ns)
         unit.answered_ns = max(unit.answered_ns, kind.end_ns)
         if use.master is not None:
@@ -336,27 +360,16 @@ class Account:
                 cell[sum_] += end - begin
             cell[UnitSum.LATENCY_NS] += sum(some)
             cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
-        return poll
 
-    def _count_links(self, run: AnsweredRun) -> None:
+    def _count_links(self, forms: Iterable[AlikeRequests]) -> None:
         """Count the requests of a batch over time with their links."""
         times_of: dict[tuple[str, int], list[int]] = {}
-        for kind in run.kinds:
+        for kind in forms:
             times_of.setdefault((kind.like.link, _size(kind.like)), []).extend(kind.request_ns)
         for (name, size), times_ns in times_of.items():
             for cell, begin, end in self.links[name].bins.cells_of(sorted(times_ns)):
                 cell[LinkSum.REQUESTS] += end - begin
                 cell[LinkSum.BYTES] += size * (end - begin)
-
-    def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
-        """Move the polls of a batch to the end of `self.polls`, in the order of their last
-        requests.
-
-        `self.polls` is kept in this order, because the first poll is removed at the limit.
-        `polls[i]` is the poll of the group `run.kinds[i]`.
-        """
-        for kind in reversed(dict.fromkeys(reversed(run.kind))):
-            self.polls.move_to_end(polls[kind].key)
 
     def _add_event(self, event: WireEvent) -> None:
         self.events[event.kind] += 1
@@ -402,8 +415,8 @@ class Account:
                 link = self.links[name] = LinkStatistics(self._format_of, self.bins.row())
         return link
 
-    def _poll(self, one: NamedTransaction) -> PollStatistics:
-        key = poll_key(one, self._host(one.source))
+    def _poll(self, key: PollKey, one: NamedTransaction) -> PollStatistics:
+        """Return the poll with this key; `one` is one of its transactions."""
         poll = self.polls.get(key)
         if poll is not None:
             self.polls.move_to_end(key)

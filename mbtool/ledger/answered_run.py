@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
@@ -14,6 +16,12 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
 
 P = TypeVar("P", bound="Hashable")
+
+_COUNT, _BEGIN_NS, _END_NS, _REQUEST_NS, _LATENCIES = map(
+    attrgetter, ("count", "begin_ns", "end_ns", "request_ns", "latencies")
+)
+_FEW = 8
+"""Groups of equal requests are joined by their forms if they have fewer requests than this."""
 
 
 @dataclass(slots=True)
@@ -35,7 +43,9 @@ class AlikeRequests:
     """The latency (ns) of each request of the group, in the order of the responses."""
     packets: Callable[[int], tuple[int, int]]
     """Returns the numbers of the packets of the request with an index in the group, and of its
-    response."""
+    response. In a group of `AnsweredRun.forms`, only index 0 is known."""
+    form: int
+    """A number. Groups of one batch that have equal numbers differ in their addresses only."""
 
 
 class ConnectionCounts(NamedTuple):
@@ -69,9 +79,23 @@ class AnsweredRun:
     response_ns: list[int]
     connections: Sequence[ConnectionCounts] = ()
     """The openings and closings of connections among the transactions."""
+    _forms: list[AlikeRequests] | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    def forms(self) -> list[AlikeRequests]:
+        """Return the groups of requests that are equal except for their addresses, in the order in
+        which they first appear; `kinds` if that would hardly be less.
+        """
+        if self._forms is None:
+            self._forms = self.kinds
+            if len(self.kind) < _FEW * len(self.kinds):
+                found: dict[int, list[AlikeRequests]] = {}
+                for one in self.kinds:
+                    found.setdefault(one.form, []).append(one)
+                self._forms = [*map(_joined, found.values())]
+        return self._forms
 
     def latencies_of(self, polls: Sequence[P]) -> dict[P, list[int]]:
         """Return for each poll the latencies (ns) of its requests, in the order of the responses.
@@ -82,11 +106,14 @@ class AnsweredRun:
         found: dict[P, list[int]] = {poll: [] for poll in polls}
         if len(found) == len(polls):
             return {poll: kind.latencies for poll, kind in zip(polls, self.kinds, strict=True)}
-        for kind, begin_ns, end_ns in self._each():
+        for kind, begin_ns, end_ns in self.each():
             found[polls[kind]].append(end_ns - begin_ns)
         return found
 
-    def _each(self) -> Iterator[tuple[int, int, int]]:
+    def each(self) -> Iterator[tuple[int, int, int]]:
+        """Yield for each transaction the index of its group, and the times (UTC ns) of its request
+        and its response.
+        """
         return zip(self.kind, self.request_ns, self.response_ns, strict=True)
 
     def transactions(self) -> Iterator[NamedTransaction]:
@@ -96,10 +123,27 @@ class AnsweredRun:
         Values, transaction id and packets are those of the example, as the batch does not keep them
         for each transaction.
         """
-        for kind, begin_ns, end_ns in self._each():
+        for kind, begin_ns, end_ns in self.each():
             yield msgspec.structs.replace(
                 self.kinds[kind].like,
                 request_ns=begin_ns,
                 response_ns=end_ns,
                 latency_ns=end_ns - begin_ns,
             )
+
+
+def _joined(groups: list[AlikeRequests]) -> AlikeRequests:
+    """Return groups whose requests differ in their addresses only as one group."""
+    first = groups[0]
+    if len(groups) == 1:
+        return first
+    return AlikeRequests(
+        first.like,
+        sum(map(_COUNT, groups)),
+        min(map(_BEGIN_NS, groups)),
+        max(map(_END_NS, groups)),
+        [*chain.from_iterable(map(_REQUEST_NS, groups))],
+        [*chain.from_iterable(map(_LATENCIES, groups))],
+        first.packets,
+        first.form,
+    )

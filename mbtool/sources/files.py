@@ -41,7 +41,6 @@ from mbtool.core.wording import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
 from mbtool.sources.byte_files import read_hex, read_raw
-from mbtool.sources.text_log import TextLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
 
     from mbtool.packets.line_packets import CaptureHead
     from mbtool.sources.byte_files import SerialPiece
+    from mbtool.sources.text_log import TextLog
 
 _Item = TypeVar("_Item")
 
@@ -172,6 +172,8 @@ class CaptureFile:
 
             return read_sigrok(*of_file, line)
         if self.kind is CaptureKind.TEXT_LOG:
+            from mbtool.sources.text_log import TextLog
+
             settings = line or LineSettings(SerialFormat())
             self._text = TextLog(*of_file, settings.format)
             return settings, self._frames(self._text)
@@ -342,6 +344,8 @@ def _probed(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
     """
     head = stream.read(PROBED)
     if len(head) < PROBED:
+        from mbtool.sources.text_log import TextLog
+
         text = TextLog(cast("BinaryIO", io.BytesIO(head)), name, "", SerialFormat())
         if not any(True for _ in text.pieces()):
             raise _no_frames(name, text)

@@ -72,18 +72,40 @@ class Cases(Sense):
             heap = self._heap(one)
             if _has_place(heap, latency_ns, one.request_ns):
                 self._put(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
-        if one.outcome not in _FAILED:
+        if one.outcome in _FAILED:
+            cases = self._cases_of(one)
+            if cases is not None:
+                cases.append(Evidence.of(one))
+
+    def _note_failed(self, run: AnsweredRun) -> None:
+        """Note the first failed requests of each unit in a batch, in the order of the responses."""
+        if not any(kind.like.outcome in _FAILED for kind in run.kinds):
             return
+        indices = [0] * len(run.kinds)
+        for number in run.kind:
+            kind = run.kinds[number]
+            if kind.like.outcome in _FAILED:
+                cases = self._cases_of(kind.like)
+                if cases is not None:
+                    index = indices[number]
+                    cases.append(Evidence(
+                        ts_ns=kind.request_ns[index], file=kind.like.file,
+                        packets=kind.packets(index),
+                    ))  # fmt: skip
+                indices[number] += 1
+
+    def _cases_of(self, one: NamedTransaction) -> list[Evidence] | None:
+        """Return the cases like this transaction; None if there is no room for one more."""
         key = one.link, one.unit, one.outcome
         cases = self._failed.get(key)
         if cases is None:
             if len(self._failed) >= MAX_UNITS:
-                return
+                return None
             cases = self._failed[key] = []
-        if len(cases) < MAX_EVIDENCE:
-            cases.append(Evidence.of(one))
+        return cases if len(cases) < MAX_EVIDENCE else None
 
     def run(self, run: AnsweredRun) -> None:
+        self._note_failed(run)
         for counts in run.connections:
             if counts.first_opened_ns is not None:
                 self._note_opened((counts.link, counts.host), counts.first_opened_ns)

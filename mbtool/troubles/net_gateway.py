@@ -179,8 +179,12 @@ class Gateways(Sense):
         self._note_overlap(one)
 
     def run(self, run: AnsweredRun) -> None:
+        for form in run.forms():
+            self._shared_by(form.like)
         for kind in run.kinds:
             like, longest_ns = kind.like, max(kind.latencies)
+            if longest_ns < min(WAIT_NS, SLOW_NS):
+                continue
             shared = self._shared_by(like)
             if shared is not None and longest_ns >= WAIT_NS:
                 master = host_of(like.source)

@@ -76,7 +76,7 @@ class Hosts(Sense):
             self._note(one, 1, one.start_ns, one.start_ns)
 
     def run(self, run: AnsweredRun) -> None:
-        for kind in run.kinds:
+        for kind in run.forms():
             first = Evidence(ts_ns=kind.request_ns[0], file=kind.like.file, packets=kind.packets(0))
             self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns, first)
 

@@ -90,7 +90,7 @@ class LossyPaths(Sense):
             path.confirm(one.start_ns, one.response_ns)
 
     def run(self, run: AnsweredRun) -> None:
-        for kind in run.kinds if self._paths else ():
+        for kind in run.forms() if self._paths else ():
             path = self._paths.get((kind.like.link, host_of(kind.like.source)))
             if path is not None and path.pending:
                 path.confirm(kind.end_ns, kind.end_ns)

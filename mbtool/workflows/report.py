@@ -94,6 +94,7 @@ class ReportRun:
             wanted=wanted,
             on_retry=self._mark_retry,
             observes=True,
+            exceptions_apart=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
@@ -181,11 +182,7 @@ class ReportRun:
         if not self._values.add_reads(reads):
             for named in rows.transactions(len(rows)):
                 self._values.add(named)
-        self._rows.pauses.note_run(
-            answered,
-            self._rows.transactions,
-            lambda place: next(rows.behind(place).transactions(1)),
-        )
+        self._rows.pauses.note_run(answered, self._rows.transactions, rows.chosen)
         wanted = self._rows.first_of(len(rows))
         for named in rows.transactions(wanted):
             self._rows.add(named, ())

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rich.console import Console
 
 from mbtool.core import Chunk, Direction, Packet
-from mbtool.decode import ConnectionDecoder
+from mbtool.decode.connections import ConnectionDecoder
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
 from mbtool.logs import LogReader, LogWriter, transaction_to_jsonl
 from mbtool.modbus import Transaction, encode_pdu, mbap_adu

@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mbtool.core import SerialFormat, WireEvent
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Transaction
 from mbtool.serial_line import RtuSplitter
 from tests.benchmarks.adapters import Column, Damage, Read, Wire, damaged, delivered

@@ -47,6 +47,14 @@ def test_what_takes_several_says_so(mbtool: CommandLine, command: str, argument:
     assert f"\nArguments:\n  {argument}  " in help_
 
 
+def test_the_list_of_commands_has_the_help_of_each() -> None:
+    table = CommandTable()
+    listed = table.listed()
+    assert list(listed) == list(table)
+    for name, command in listed.items():
+        assert command.get_short_help_str(200) == table[name].get_short_help_str(200) != ""
+
+
 def test_help_without_arguments_has_no_part_for_them(mbtool: CommandLine) -> None:
     help_ = mbtool("links", "--help").out
     assert help_.startswith("Usage: mbtool links [OPTIONS]\n")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, SerialFormat, WireEvent
-from mbtool.decode import Bus, ConnectionDecoder
+from mbtool.decode.connections import Bus, ConnectionDecoder
 from mbtool.decode.network_pairing import TIMEOUT_NS
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
 from mbtool.modbus.adu import Adu, ascii_adu, mbap_adu, rtu_adu

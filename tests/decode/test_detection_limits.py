@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction, EventKind, WireEvent
-from mbtool.decode import ProtocolDetector, ProtocolState
 from mbtool.decode.protocol_detection import (
     MAX_NOISE,
     MAX_UNDECIDED_BYTES,
+    ProtocolDetector,
+    ProtocolState,
 )
 from mbtool.modbus.adu import mbap_adu, rtu_adu
 from tests.decode.test_protocol_detection import (

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mbtool.core import Connection, Direction, Endpoint
 from mbtool.core.limits import MAX_OPEN_REQUESTS
-from mbtool.decode import ConnectionDecoder
+from mbtool.decode.connections import ConnectionDecoder
 from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.modbus import Outcome, Transaction, Verdict, mbap_adu
 from tests.decode.test_pairing import asked, told

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, EventKind, WireEvent
-from mbtool.decode import Decoded, ProtocolDetector, ProtocolState
 from mbtool.decode.protocol_detection import (
     ENOUGH_ADUS,
     GAP_BYTES,
     MAX_NOISE,
     MAX_UNDECIDED_BYTES,
+    ProtocolDetector,
+    ProtocolState,
     ProvenSlaves,
 )
 from mbtool.modbus.adu import Transport, Verdict, mbap_adu, rtu_adu
 from mbtool.modbus.transaction import Outcome
 from tests.modbus.reading import adus, transactions, wire_events
+
+if TYPE_CHECKING:
+    from mbtool.decode.connections import Decoded
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 CONNECTION = Connection(Endpoint("10.0.0.1", 50211), Endpoint("10.0.0.9", 1502), 1)

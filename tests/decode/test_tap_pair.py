@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import assume, given
@@ -10,9 +11,8 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
-from mbtool.decode import Decoded, TapPair
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
-from mbtool.decode.tap_pair import LOOKAHEAD_NS, MAX_HELD, MISPLACED_FRAMES
+from mbtool.decode.tap_pair import LOOKAHEAD_NS, MAX_HELD, MISPLACED_FRAMES, TapPair
 from mbtool.modbus.adu import DirectionBy, ascii_adu, rtu_adu
 from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome
@@ -20,6 +20,9 @@ from mbtool.serial_line.rtu import WINDOW
 from tests.feeding import START_NS, pieces
 from tests.modbus.reading import adus, transactions, wire_events
 from tests.strategies import SIZES, Exchange, exchanges
+
+if TYPE_CHECKING:
+    from mbtool.decode.connections import Decoded
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 FORMAT = SerialFormat(19200)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, CutError, Direction
-from mbtool.decode import ConnectionDecoder
+from mbtool.decode.connections import ConnectionDecoder
 from mbtool.modbus import Adu, parse_pdu
 from mbtool.packets import StreamClosed, StreamGap, StreamItem, TcpReassembler
 from tests.captures import FOLDER, public_folder, read_packets
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from mbtool.core import Connection
-    from mbtool.decode import Decoded
+    from mbtool.decode.connections import Decoded
 
 EXPLAINED = Path(__file__).with_name("explained.toml")
 

@@ -14,7 +14,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.main import run
 from mbtool.core import Connection, Direction, Endpoint, InputError, SerialFormat
 from mbtool.core.link_spec import parse_line
-from mbtool.decode import Bus, ConnectionDecoder, Decoded
+from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.devices import Assignments, builtin_profiles, load_profile
 from mbtool.devices.assignment import Assignment, Who
 from mbtool.devices.checking.capture_context import CaptureContext

@@ -11,7 +11,7 @@ from mbtool.modbus.transaction import Transaction
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from mbtool.decode import Decoded
+    from mbtool.decode.connections import Decoded
 
 
 def raw(events: Iterable[Adu | Skipped]) -> bytes:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Connection, Direction, Endpoint, SerialFormat
-from mbtool.decode import Bus, ConnectionDecoder, Decoded
+from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.modbus import Outcome, Transaction, ascii_adu, mbap_adu, rtu_adu
 from mbtool.serial_line.bus_state import MAX_PENDING_NS
 from tests.feeding import START_NS, Line, feed_all

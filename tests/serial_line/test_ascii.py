@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_BACK_NS
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.framing.skips import MAX_RUN
 from mbtool.modbus.adu import (
     MAX_ASCII_ADU,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
 from mbtool.modbus.adu import crc as _crc
 from tests.feeding import Line

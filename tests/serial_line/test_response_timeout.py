@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import SerialFormat
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.modbus import Outcome, Transaction
 from mbtool.modbus.adu import rtu_adu
 from mbtool.serial_line.response_timeout import SAMPLES, ResponseTimeout

@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
 from mbtool.modbus.adu import crc
 from tests.feeding import START_NS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.decode.pairing import ENOUGH_OVERTAKEN, RECENT_REQUESTS
 from mbtool.modbus import Outcome, Transaction, rtu_adu
 from tests.feeding import Line

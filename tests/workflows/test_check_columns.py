@@ -10,8 +10,9 @@ import pytest
 
 from mbtool.columns import packet_block, quiet_rows
 from mbtool.core import Direction, InputError
-from mbtool.devices.checking import checker
+from mbtool.devices.checking import checker, polls, unpolled
 from mbtool.devices.checking.checker import Checker
+from mbtool.ledger import account
 from mbtool.modbus import encode_pdu
 from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared import reading_choice
@@ -107,6 +108,20 @@ def test_the_findings_of_many_different_requests_are_the_same_both_ways(
 ) -> None:
     made = make_capture(tmp_path / "many.pcap", frames, 3000)
     assert demand_equal(made.path)
+
+
+@pytest.mark.parametrize("frames", [random_requests, scan], ids=lambda one: one.__name__)
+def test_what_was_forgotten_of_many_different_requests_is_the_same_both_ways(
+    frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
+) -> None:
+    made = make_capture(tmp_path / "many.pcap", frames, 2000)
+    with (
+        patch.object(polls, "MAX_POLLS", 40),
+        patch.object(polls, "MIN_PERIODS", 2),
+        patch.object(account, "MAX_POLLS", 40),
+        patch.object(unpolled, "MAX_THINGS", 40),
+    ):
+        assert demand_equal(made.path)
 
 
 @pytest.mark.parametrize("masters", [1, 2, 3])

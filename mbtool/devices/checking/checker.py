@@ -40,9 +40,6 @@ _ONE_BY_ONE = 64
 """If a rule cannot check many rows (answered reads) together, this many rows are checked one by
 one. Then the rules are asked again about the remaining rows; after each further refusal, twice as
 many rows as before are checked one by one."""
-_FEW = 2
-"""If a rule cannot check many rows together, and they have fewer rows than this for each poll, all
-are checked one by one: to group them again and again would take longer."""
 
 
 class Checker:
@@ -92,8 +89,6 @@ class Checker:
             if self._takes(run):
                 yield rows, self._run(run)
                 return
-            if len(rows) < _FEW * len(run.polls):
-                count = len(rows)
             for one in rows.records(count):
                 yield one, self.feed(one)
             rows, count = rows.behind(count), 2 * count
@@ -107,8 +102,7 @@ class Checker:
     def _takes(self, run: QuietRun) -> bool:
         if self._responses.has_pending and self._connections.has_pending:
             return False  # Together, their findings would come in another order than from `feed`.
-        # The polls come last: to group many rows by poll takes time.
-        rules = (self._connections, self._security, self._responses, self._polls)
+        rules = (self._connections, self._security, self._responses)
         return all(one.takes(run) for one in rules)
 
     def close(self) -> Iterator[Finding]:

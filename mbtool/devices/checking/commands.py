@@ -30,6 +30,7 @@ from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit, SecurityLimits
@@ -95,7 +96,7 @@ class CommandRules:
     def run(self, run: QuietRun) -> None:
         """Count many reads and writes together, with the same result as `transaction` for each."""
         for one in run.writes:
-            write = Write(one.at_ns, one.packets, partial(run.transaction, one.row))
+            write = Write(one.at_ns, one.packets, partial(run.head, one.row))
             self._note_write(self._on_network, host_of(one.source), one.destination, write)
 
     def _note_write(
@@ -107,15 +108,20 @@ class CommandRules:
     ) -> None:
         window = windows[source, slave]
         counted = window.add(write.start_ns, write.packets)
-        if counted:
+        if not counted:
+            return
+
+        def first_finding() -> Finding:
             transaction = write.transaction()
             text = (
                 f"{master_text(transaction)} writes {{count}} times to {place_text(transaction)}, "
                 f"for example {request_text(transaction)}"
             )
             finding = transaction_finding("SEC-102", transaction, text, ts_ns=window.first_ns)
-            finding = replace(finding, function=None, reference=None)
-            self._cases.add(source, finding, counted, packets=window.last_packets(counted))
+            return replace(finding, function=None, reference=None)
+
+        packets = window.last_packets(counted)
+        self._cases.add(source, "SEC-102", first_finding, counted, packets=packets)
 
     def _note_command(self, transaction: NamedTransaction, source: str, command: str) -> None:
         window = self._commands[source, ""]
@@ -125,7 +131,7 @@ class CommandRules:
             finding = transaction_finding("SEC-103", transaction, text, ts_ns=window.first_ns)
             example = f"unit {transaction.unit} of {place_text(transaction)} to {command}"
             packets = window.last_packets(counted)
-            self._cases.add(source, finding, counted, [example], packets)
+            self._cases.add(source, finding.code, lambda: finding, counted, [example], packets)
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:

@@ -37,6 +37,7 @@ from mbtool.modbus.identification import ENCAPSULATED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
@@ -151,7 +152,7 @@ class MasterRules:
             master.last_ns = max(master.last_ns, one.last_request_ns)
         for write in run.writes:
             masters = self._slaves[write.destination]
-            make = partial(run.transaction, write.row)
+            make = partial(run.head, write.row)
             self._note_write(
                 masters, masters[host_of(write.source)], Write(write.at_ns, write.packets, make)
             )
@@ -210,15 +211,19 @@ class MasterRules:
         counted = 0
         while second.uncounted:
             counted += second.window.add(*second.uncounted.popleft())
-        if counted and second.last_write is not None:
-            write = second.last_write.transaction()
-            text = (
-                f"{second.host} writes to {write.destination}, which {first} asked before: "
-                f"{request_text(write)}"
-            )
-            finding = transaction_finding("SEC-101", write, text, ts_ns=second.window.first_ns)
+        last = second.last_write
+        if counted and last is not None:
+
+            def first_finding() -> Finding:
+                write = last.transaction()
+                text = (
+                    f"{second.host} writes to {write.destination}, which {first} asked before: "
+                    f"{request_text(write)}"
+                )
+                return transaction_finding("SEC-101", write, text, ts_ns=second.window.first_ns)
+
             packets = second.window.last_packets(counted)
-            self._cases.add(second.host, finding, counted, packets=packets)
+            self._cases.add(second.host, "SEC-101", first_finding, counted, packets=packets)
 
     def _note_identification(self, transaction: NamedTransaction, host: str, slave: str) -> None:
         if host in self._known or len(self._known) >= MAX_HOSTS:
@@ -233,7 +238,7 @@ class MasterRules:
             finding = transaction_finding("SEC-205", transaction, text, ts_ns=window.first_ns)
             example = f"{_function(transaction)} of {slave}"
             finding, packets = replace(finding, reference=None), window.last_packets(counted)
-            self._cases.add(host, finding, counted, [example], packets)
+            self._cases.add(host, finding.code, lambda: finding, counted, [example], packets)
 
 
 def _function(transaction: NamedTransaction) -> str:

@@ -143,22 +143,25 @@ class PollRules:
             poll.usual_ns = median(period for _, period in poll.sample)
         return poll.usual_ns
 
-    def takes(self, run: QuietRun) -> bool:
-        """True if the method `run` may add these transactions together, not one by one.
-
-        That is so if there is room for all their polls, so that none must be dropped.
-        """
-        return self._polls.has_room(map(_key, run.polls))
-
     def run(self, run: QuietRun) -> None:
         """Add many transactions together, with the same result as `transaction` for each.
 
-        `run` has the times of the requests, grouped by poll.
+        `run` has the times of the requests, grouped by poll. If a poll may have to be dropped, the
+        requests are added one by one, in their order.
         """
-        for one in run.polls:
-            poll, times = self._polls[_key(one)], one.request_ns
+        keys = [*map(_key, run.polls)]
+        if not self._polls.has_room(keys):
+            for request in run.requests:
+                poll = self._polls[keys[request.poll]]
+                if poll.first is None:
+                    poll.first, poll.last_ns = run.head(request.row), request.at_ns
+                else:
+                    poll.note(request.at_ns)
+            return
+        for key, one in zip(keys, run.polls, strict=True):
+            poll, times = self._polls[key], one.request_ns
             if poll.first is None:
-                poll.first, poll.last_ns = run.transaction(one.first), times[0]
+                poll.first, poll.last_ns = run.head(one.first), times[0]
                 times = times[1:]
             poll.note_all(times)
 

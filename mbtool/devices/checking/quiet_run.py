@@ -1,5 +1,5 @@
 """Figures about many answered Modbus/TCP reads and writes that break no rule by themselves, for the
-rules of `mbtool check`.
+rules of `mbtool check`. The responses may be exceptions.
 """
 
 # Most transactions of a capture are such ones; columns/ decodes them into arrays, without an
@@ -30,8 +30,26 @@ class QuietPoll(NamedTuple):
     address: int
     quantity: int
     first: int
-    """The row number of the first of these requests, for `QuietRun.transaction`."""
+    """The row number of the first of these requests, for `QuietRun.head`."""
     request_ns: list[int]
+
+
+class QuietRequest(NamedTuple):
+    """A request in a run."""
+
+    poll: int
+    """The index of its poll in `QuietRun.polls`."""
+    source: str
+    """HOST:PORT of the master."""
+    destination: str
+    at_ns: int
+    """The time of the request, in ns."""
+    row: int
+    """Its row number, for `QuietRun.head`."""
+    packets: tuple[int, int]
+    """The numbers of the packets of the request and its response."""
+    exception: int
+    """The exception code of the response; -1 if it is none."""
 
 
 class QuietConnection(NamedTuple):
@@ -60,22 +78,9 @@ class QuietConnection(NamedTuple):
     beginning then."""
 
 
-class QuietWrite(NamedTuple):
-    """A write in a run."""
-
-    source: str
-    """HOST:PORT of the master."""
-    destination: str
-    at_ns: int
-    """The time of its request, in ns."""
-    row: int
-    """Its row number, for `QuietRun.transaction`."""
-    packets: tuple[int, int]
-    """The numbers of the packets of its request and its response."""
-
-
 class QuietRun:
-    """Figures about consecutive Modbus/TCP reads and writes with the outcome OK.
+    """Figures about consecutive Modbus/TCP reads and writes with the outcome OK or EXCEPTION, but
+    no exception of a gateway.
 
     None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
     """
@@ -84,17 +89,24 @@ class QuietRun:
         self,
         connections: list[QuietConnection],
         polls: Callable[[], list[QuietPoll]],
-        writes: Callable[[], list[QuietWrite]],
-        transaction: Callable[[int], NamedTransaction],
+        writes: Callable[[], list[QuietRequest]],
+        requests: Callable[[], list[QuietRequest]],
+        head: Callable[[int], NamedTransaction],
         last_event_ns: int = 0,
+        *,
+        has_exceptions: bool = False,
     ) -> None:
         self.connections = connections
         """The transactions grouped by connection, in the order of their last requests or
         openings."""
         self._polls = polls
         self._writes = writes
-        self.transaction = transaction
-        """Makes the transaction with a row number, which `QuietPoll.first` gives."""
+        self._requests = requests
+        self.head = head
+        """Makes the transaction with a row number, but with the values and bytes of an equal
+        request."""
+        self.has_exceptions = has_exceptions
+        """True if some responses are exceptions."""
         self.last_event_ns = last_event_ns
         """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
 
@@ -104,9 +116,14 @@ class QuietRun:
         return self._polls()
 
     @cached_property
-    def writes(self) -> list[QuietWrite]:
+    def writes(self) -> list[QuietRequest]:
         """The writes among them, in their order."""
         return self._writes()
+
+    @cached_property
+    def requests(self) -> list[QuietRequest]:
+        """All requests, in the order of the responses."""
+        return self._requests()
 
     @property
     def last_request_ns(self) -> int:

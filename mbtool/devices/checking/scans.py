@@ -23,11 +23,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from msgspec import structs
 
 from mbtool.core import CONNECTION_JOINED
-from mbtool.devices.checking.finding import event_finding, packets_of, transaction_finding
+from mbtool.devices.checking.finding import Finding, event_finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import (
+    Packets,
     host_of,
     is_identification,
     master_text,
@@ -39,8 +43,9 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.core import WireEvent
-    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
@@ -62,6 +67,29 @@ _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
 
 
+class _UnitRequest(NamedTuple):
+    """A request to a unit."""
+
+    source: str
+    """The master's IP address; on a serial line, the name of the line."""
+    slave: str
+    """The slave's HOST:PORT; on a serial line, the name of the line."""
+    host: str
+    """The slave's IP address; empty on a serial line."""
+    unit: int
+    function: int
+    address: int | None
+    request: int
+    """A hash of its function, address and quantity, to recognise a repeated request."""
+    at_ns: int
+    packets: Packets
+    is_answered: bool
+    as_asked: bool
+    """True if the slave may have answered as asked."""
+    is_identification: bool = False
+    """True if it asks for the identification only."""
+
+
 class ScanRules:
     """Finds masters that search for addresses, units, functions or registers (SEC-201 to SEC-204).
 
@@ -73,10 +101,10 @@ class ScanRules:
         self._turn_ns = limits.host_scan.window_ns
         """A host that connects to an address and does not ask it again for so long (ns) does not
         poll it."""
-        self._hosts = Unpolled(limits.host_scan, cases)
-        self._units = Unpolled(limits.unit_scan, cases, most_ordinary=MOST_UNITS)
-        self._functions = Unpolled(limits.function_scan, cases)
-        self._registers = Unpolled(limits.register_scan, cases)
+        self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
+        self._units = Unpolled("SEC-202", _as_is, limits.unit_scan, cases, most_ordinary=MOST_UNITS)
+        self._functions = Unpolled("SEC-203", _function_case, limits.function_scan, cases)
+        self._registers = Unpolled("SEC-204", _register_case, limits.register_scan, cases)
         self._end_ns = 0
         """The time of the latest request, in ns."""
         self._polled_ns: int | None = None
@@ -93,31 +121,86 @@ class ScanRules:
         both are the name of the line. `profile` is the slave's; None if it has none.
         """
         self._heard(source, transaction.start_ns)
-        if not self._units.is_polled((source, slave), transaction.unit):
-            self._note_unit(transaction, source, slave)
-        if transaction.exception in _REFUSED_ADDRESS:
-            self._note_register(transaction, source, slave)
-        elif _is_missing(transaction, profile):
-            self._note_function(transaction, source, slave)
+        is_polled = self._units.is_polled((source, slave), transaction.unit)
+        is_refused = transaction.exception in _REFUSED_ADDRESS
+        is_missing = not is_refused and _is_missing(transaction, profile)
+        if is_polled and not is_refused and not is_missing:
+            return  # The usual case.
+        asked = _UnitRequest(
+            source,
+            slave,
+            "" if transaction.destination is None else host_of(transaction.destination),
+            transaction.unit,
+            transaction.function,
+            transaction.address,
+            hash((transaction.function, transaction.address, transaction.quantity)),
+            transaction.start_ns,
+            packets_of(transaction),
+            transaction.response_raw is not None,
+            transaction.outcome in _AS_ASKED,
+            is_identification(transaction),
+        )
+        if not is_polled:
+            self._note_unit(asked, lambda: transaction)
+        make = partial(_bare, transaction)
+        if is_refused:
+            self._note_register(asked, make)
+        elif is_missing:
+            self._note_function(asked, make)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if the masters poll all units in these transactions, and all hosts to which they
-        open connections, so that no rule about scans needs to count them.
+        """True if the masters poll all hosts to which these transactions open connections, so that
+        the openings need not be counted.
         """
         return all(
-            self._units.is_polled((host_of(one.source), one.destination), unit)
-            for one in run.connections
-            for unit in one.units
-        ) and all(
             self._hosts.is_polled((host_of(one.source),), host_of(one.destination))
             for one in run.connections
             if one.opened_ns is not None
         )
 
     def run(self, run: QuietRun) -> None:
-        """Note the time of many answered reads of units that are all polled."""
+        """Count many answered reads, with the same result as `transaction` for each. Those of units
+        that are known to be polled need not be counted.
+        """
         opened = (one.opened_ns or 0 for one in run.connections)
         self._end_ns = max(self._end_ns, run.last_request_ns, *opened)
+        unpolled = {
+            (one.source, one.destination, unit)
+            for one in run.connections
+            for unit in one.units
+            if not self._units.is_polled((host_of(one.source), one.destination), unit)
+        }
+        if not unpolled and not run.has_exceptions:
+            return
+        polls = run.polls
+        hashes = [hash((one.function, one.address, one.quantity)) for one in polls]
+        for one in run.requests:
+            poll, exception = polls[one.poll], one.exception
+            is_unpolled = (one.source, one.destination, poll.unit) in unpolled
+            if exception < 0 and not is_unpolled:
+                continue
+            source, slave = host_of(one.source), one.destination
+            self._heard(source, one.at_ns)
+            asked = _UnitRequest(
+                source,
+                slave,
+                host_of(slave),
+                poll.unit,
+                poll.function,
+                poll.address,
+                hashes[one.poll],
+                one.at_ns,
+                one.packets,
+                is_answered=True,
+                as_asked=exception < 0,
+            )
+            head = partial(run.head, one.row)
+            if is_unpolled:
+                self._note_unit(asked, head)
+            if exception in _REFUSED_ADDRESS:
+                self._note_register(asked, head)
+            elif exception == ExceptionCode.ILLEGAL_FUNCTION:
+                self._note_function(asked, head)
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
@@ -129,8 +212,8 @@ class ScanRules:
             (source,),
             host,
             OPENED,
-            lambda: (host, event_finding("SEC-201", event, _hosts(source))),
-            at_ns=event.ts_ns,
+            event.ts_ns,
+            lambda: event_finding("SEC-201", event, _hosts(source)),
         )
 
     def close(self) -> None:
@@ -151,7 +234,7 @@ class ScanRules:
 
     def _is_before_second_turn(self, attempts: Attempts) -> bool:
         """True if the capture ends before a master had to ask for the second time."""
-        return self._end_ns - attempts.finding.ts_ns <= self._first_time_ns
+        return self._end_ns - attempts.at_ns <= self._first_time_ns
 
     def _is_too_short(self, source: str, attempts: Attempts) -> bool:
         """True if the capture may only lack the second turn of a master to an address."""
@@ -165,85 +248,109 @@ class ScanRules:
         first_ns = self._first_heard_ns.get(source)
         return self._polled_ns is None or first_ns is None or first_ns <= self._polled_ns
 
-    def _note_unit(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        request, is_answered = _request(transaction), transaction.response_raw is not None
-        as_asked = transaction.outcome in _AS_ASKED
-
-        def first_unit() -> tuple[str, Finding]:
-            text = (
-                f"{master_text(transaction)} asks {{count}} units of "
-                f"{place_text(transaction)} and polls none of them: {{examples}}"
-            )
-            return str(transaction.unit), _finding("SEC-202", transaction, text)
-
+    def _note_unit(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
+        """Count a request to a unit that is not known to be polled. `make` makes its
+        transaction.
+        """
+        source, host = asked.source, asked.host
         is_polled = self._units.note(
-            (source, slave),
-            transaction.unit,
-            request,
-            first_unit,
-            at_ns=transaction.start_ns,
-            is_answered=is_answered,
-            is_answered_as_asked=as_asked,
-            packets=packets_of(transaction),
+            (source, asked.slave),
+            asked.unit,
+            asked.request,
+            asked.at_ns,
+            lambda: _unit_case(make()),
+            is_answered=asked.is_answered,
+            is_answered_as_asked=asked.as_asked,
+            packets=asked.packets,
         )
         if is_polled and self._polled_ns is None:
-            self._polled_ns = transaction.start_ns
-        if transaction.destination is None:
+            self._polled_ns = asked.at_ns
+        if not host:
             return
-        host = host_of(transaction.destination)
         if is_polled:
             self._hosts.set_polled((source,), host)
             return
         self._hosts.note(
             (source,),
             host,
-            hash((request, transaction.unit)),
-            lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
-            at_ns=transaction.start_ns,
-            is_answered=is_answered,
-            is_answered_as_asked=as_asked,
-            is_identification=is_identification(transaction),
-            packets=packets_of(transaction),
+            hash((asked.request, asked.unit)),
+            asked.at_ns,
+            lambda: _finding("SEC-201", make(), _hosts(source)),
+            is_answered=asked.is_answered,
+            is_answered_as_asked=asked.as_asked,
+            is_identification=asked.is_identification,
+            packets=asked.packets,
         )
 
-    def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        def first_function() -> tuple[str, Finding]:
-            text = (
-                f"{master_text(transaction)} asks unit {transaction.unit} of "
-                f"{place_text(transaction)} for {{count}} functions that it does not have: "
-                "{examples}"
-            )
-            finding = replace(_finding("SEC-203", transaction, text), unit=transaction.unit)
-            return f"{transaction.function:02X}H", finding
-
+    def _note_function(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         self._functions.note(
-            (source, slave, transaction.unit),
-            transaction.function,
-            _request(transaction),
-            first_function,
-            at_ns=transaction.start_ns,
-            is_answered=transaction.response_raw is not None,
-            packets=packets_of(transaction),
+            (asked.source, asked.slave, asked.unit),
+            asked.function,
+            asked.request,
+            asked.at_ns,
+            make,
+            is_answered=asked.is_answered,
+            packets=asked.packets,
         )
 
-    def _note_register(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        def first_register() -> tuple[str, Finding]:
-            text = (
-                f"unit {transaction.unit} of {place_text(transaction)} refuses "
-                f"{master_text(transaction)} {{count}} different registers: {{examples}}"
-            )
-            finding = replace(_finding("SEC-204", transaction, text), unit=transaction.unit)
-            return request_text(transaction), finding
-
+    def _note_register(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
         self._registers.note(
-            (source, slave, transaction.unit),
-            (transaction.function, transaction.address),
-            _request(transaction),
-            first_register,
-            at_ns=transaction.start_ns,
+            (asked.source, asked.slave, asked.unit),
+            (asked.function, asked.address),
+            asked.request,
+            asked.at_ns,
+            make,
             is_answered=True,
-            packets=packets_of(transaction),
+            packets=asked.packets,
         )
+
+
+def _bare(transaction: NamedTransaction) -> NamedTransaction:
+    """Return a transaction without its bytes and values, to be kept for a message."""
+    return structs.replace(
+        transaction,
+        request_raw=None,
+        response_raw=None,
+        request_values=None,
+        response_values=None,
+        points=[],
+    )
+
+
+def _as_is(case: tuple[str, Finding]) -> tuple[str, Finding]:
+    return case
+
+
+def _host_case(finding: Finding) -> tuple[str, Finding]:
+    """Return the slave's IP address in the finding of a first request or opening, and the finding,
+    which takes less memory than a transaction.
+    """
+    return host_of(finding.destination or finding.link), finding
+
+
+def _unit_case(one: NamedTransaction) -> tuple[str, Finding]:
+    """Return the unit of a request as text, and the finding if it is the first of a scan."""
+    text = (
+        f"{master_text(one)} asks {{count}} units of {place_text(one)} and polls none of them: "
+        "{examples}"
+    )
+    return str(one.unit), _finding("SEC-202", one, text)
+
+
+def _function_case(one: NamedTransaction) -> tuple[str, Finding]:
+    text = (
+        f"{master_text(one)} asks unit {one.unit} of {place_text(one)} for {{count}} functions "
+        "that it does not have: {examples}"
+    )
+    return f"{one.function:02X}H", replace(_finding("SEC-203", one, text), unit=one.unit)
+
+
+def _register_case(one: NamedTransaction) -> tuple[str, Finding]:
+    text = (
+        f"unit {one.unit} of {place_text(one)} refuses {master_text(one)} {{count}} different "
+        "registers: {examples}"
+    )
+    return request_text(one), replace(_finding("SEC-204", one, text), unit=one.unit)
 
 
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
@@ -258,11 +365,6 @@ def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
 
 def _hosts(source: str) -> str:
     return f"{source} asks {{count}} addresses and polls none of them: {{examples}}"
-
-
-def _request(transaction: NamedTransaction) -> int:
-    """A hash of a request's function, address and quantity, to recognise a repeated request."""
-    return hash((transaction.function, transaction.address, transaction.quantity))
 
 
 def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:

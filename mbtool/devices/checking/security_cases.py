@@ -16,7 +16,7 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices.named_transaction import NamedTransaction
 
@@ -47,7 +47,7 @@ class _SourceCases:
         for one in packets:
             if one and len(self.packets) < MAX_CASES:
                 self.packets[one] = None
-        for example in examples:
+        for example in () if self.has_more_examples else examples:
             if example in self.examples:
                 continue
             if len(self.examples) < MAX_EXAMPLES:
@@ -75,23 +75,23 @@ class SecurityCases:
     def add(
         self,
         source: str,
-        finding: Finding,
+        code: str,
+        make: Callable[[], Finding],
         count: int,
         examples: Iterable[str] = (),
         packets: Iterable[Packets] = (),
     ) -> None:
-        """Add `count` cases of one source (a host or serial line) to those of the same rule.
+        """Add `count` cases of one source (a host or serial line) to those of the rule `code`.
 
-        The first call for a rule and source decides which `finding` the summary uses; later ones
-        are ignored. `examples` are short texts, such as addresses, of which the message shows some.
-        `packets` are those of the cases.
+        `make` is called for the first cases of a rule and source, and makes the finding that the
+        summary uses. `examples` are short texts, such as addresses, of which the message shows
+        some. `packets` are those of the cases.
         """
-        key = (finding.code, source)
-        cases = self._cases.get(key)
+        cases = self._cases.get((code, source))
         if cases is None:
             if len(self._cases) >= MAX_SOURCES:
                 return
-            cases = self._cases[key] = _SourceCases(finding)
+            cases = self._cases[code, source] = _SourceCases(make())
         cases.add(count, examples, packets)
 
     def close(self) -> Iterator[Finding]:

@@ -25,16 +25,19 @@ from __future__ import annotations
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.security_cases import Packets
 from mbtool.devices.checking.sliding_window import SlidingWindow
 
 if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit
+
+R = TypeVar("R")
 
 MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
@@ -62,10 +65,12 @@ class Attempts:
     number 1 is remembered, then number 2, 4, 8 and so on in its place."""
     is_answered: bool
     """True if the remembered request has a response."""
-    text: str
-    """The requested IP address, unit, function or register as text, for an example in a
-    message."""
-    finding: Finding
+    record: Any
+    """The record of the first request."""
+    at_ns: int
+    """The time of the first request, in ns."""
+    packets: Packets
+    """The packets of the first request."""
     number: int = 1
     """The number of the master's requests to the thing so far."""
     repeats: int = 0
@@ -116,7 +121,7 @@ class _UnpolledThings:
         self.recent: deque[Attempts] = deque(maxlen=limit.number)
 
 
-class Unpolled:
+class Unpolled(Generic[R]):
     """Counts for one rule the things that masters request but do not poll, and adds them to
     `cases`.
 
@@ -125,11 +130,21 @@ class Unpolled:
     """
 
     def __init__(
-        self, limit: SecurityLimit, cases: SecurityCases, *, most_ordinary: int | None = None
+        self,
+        code: str,
+        describe: Callable[[R], tuple[str, Finding]],
+        limit: SecurityLimit,
+        cases: SecurityCases,
+        *,
+        most_ordinary: int | None = None,
     ) -> None:
-        """`most_ordinary` is the largest number of things in a scope that can all be ordinary
-        polling; None for any number.
+        """`code` is that of the rule. `describe` is called with the record of the first request to
+        a thing, if it is a case. It returns the thing as text, for an example in a message, and the
+        finding to use if this is the first case of a scan. `most_ordinary` is the largest number of
+        things in a scope that can all be ordinary polling; None for any number.
         """
+        self._code = code
+        self._describe = describe
         self._cases = cases
         self._most_ordinary = most_ordinary
         self._attempts: OrderedDict[_Thing, Attempts] = OrderedDict()
@@ -158,9 +173,9 @@ class Unpolled:
         scope: _Scope,
         item: Hashable,
         request: int,
-        describe: Callable[[], tuple[str, Finding]],
-        *,
         at_ns: int,
+        make: Callable[[], R],
+        *,
         is_answered: bool = False,
         is_answered_as_asked: bool = False,
         is_identification: bool = False,
@@ -169,11 +184,10 @@ class Unpolled:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
         Returns True if the thing is now known to be polled. `request` is the hash of the request,
-        `at_ns` its time; `is_answered` is True if it has a response, `is_answered_as_asked` if that
-        response brings what was requested, and is no exception, `is_identification` if it asks for
-        the identification only. `describe` is called for the first request to a thing. It returns
-        the thing as text, for an example in a message, and the finding to use if this is the first
-        case of a scan. `packets` are those of the request and its response.
+        `at_ns` its time. `make` is called for the first request to a thing, and makes its record.
+        `is_answered` is True if the request has a response, `is_answered_as_asked` if that response
+        brings what was requested, and is no exception, `is_identification` if it asks for the
+        identification only. `packets` are those of the request and its response.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -183,7 +197,9 @@ class Unpolled:
             attempts = self._attempts[thing] = Attempts(
                 request,
                 is_answered,
-                *describe(),
+                make(),
+                at_ns,
+                packets,
                 is_answered_as_asked=is_answered_as_asked,
                 was_opened=request == OPENED,
             )
@@ -214,7 +230,7 @@ class Unpolled:
         for (scope, _), one in left.items():
             all_things[scope] += 1
             ordinary[scope] += one.is_answered_as_asked and is_too_short(str(scope[0]), one)
-        for thing, one in sorted(left.items(), key=lambda item: item[1].finding.ts_ns):
+        for thing, one in sorted(left.items(), key=lambda item: item[1].at_ns):
             scope, most = thing[0], self._most_ordinary
             is_plant = 2 * ordinary[scope] > all_things[scope]
             if not is_plant or (most is not None and all_things[scope] > most):
@@ -224,9 +240,11 @@ class Unpolled:
         scope = thing[0]
         scan = self._scans[scope]
         scan.recent.append(attempts)
-        counted = scan.window.add(attempts.finding.ts_ns)
+        counted = scan.window.add(attempts.at_ns)
         if counted:
-            new = [*scan.recent][-counted:]
-            texts = [one.text for one in scan.recent]
-            packets = [each for one in new for each in (one.finding.packets, *one.more)]
-            self._cases.add(str(scope[0]), new[0].finding, counted, texts, packets)
+            new = [*islice(reversed(scan.recent), counted)][::-1]
+            texts = (self._describe(one.record)[0] for one in scan.recent)
+            packets = [each for one in new for each in (one.packets, *one.more)]
+            first = new[0]
+            source, make = str(scope[0]), lambda: self._describe(first.record)[1]
+            self._cases.add(source, self._code, make, counted, texts, packets)

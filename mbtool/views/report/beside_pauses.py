@@ -18,7 +18,7 @@ from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
 from mbtool.troubles.polling import PAUSE_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable
 
     from mbtool.devices import NamedTransaction
     from mbtool.ledger.answered_run import AnsweredRun
@@ -69,11 +69,14 @@ class BesidePauses:
         self._set_last(key, asked)
 
     def note_run(
-        self, run: AnsweredRun, number: int, transaction_at: Callable[[int], NamedTransaction]
+        self,
+        run: AnsweredRun,
+        number: int,
+        transactions_at: Callable[[list[int]], Iterable[NamedTransaction]],
     ) -> None:
         """Take a batch of transactions, before which `number` were taken.
 
-        `transaction_at` returns the one at an index of the batch.
+        `transactions_at` returns those with these indices in the batch.
         """
         slots: dict[PollKey, int] = {}
         likes = (kind.like for kind in run.kinds)
@@ -90,17 +93,18 @@ class BesidePauses:
             last_ns[slot] = at_ns
             last_places[slot] = place
 
-        def asked_at(place: int) -> _Asked:
-            return _Asked(number + place + 1, transaction_at(place))
+        def asked_at(*places: int) -> list[_Asked]:
+            made = zip(places, transactions_at([*places]), strict=True)
+            return [_Asked(number + place + 1, one) for place, one in made]
 
         of_slot = list(slots)
         for slot, pause_ns, before, after in beside:
             if self._is_long(of_slot[slot], pause_ns):
-                last = asked[slot] if before < 0 else asked_at(before)
+                last = asked[slot] if before < 0 else asked_at(before)[0]
                 if last is not None:
-                    self._add(of_slot[slot], last, asked_at(after))
-        for key, place in zip(of_slot, last_places, strict=True):
-            self._set_last(key, asked_at(place))
+                    self._add(of_slot[slot], last, *asked_at(after))
+        for key, one in zip(of_slot, asked_at(*last_places), strict=True):
+            self._set_last(key, one)
 
     def beside(self, begins_ns: Collection[int]) -> dict[int, NamedTransaction]:
         """Return the transactions before and after the pauses that begin at these times (UTC ns),

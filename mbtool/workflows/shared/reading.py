@@ -32,7 +32,6 @@ from mbtool.core import (
 )
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.core.wording import counted
-from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogReader
@@ -66,7 +65,7 @@ from mbtool.workflows.shared.undecoded_logs import LogRemarks, heard
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from mbtool.decode.decoder import Evidence, Record
+    from mbtool.decode.decoder import Decoder, Evidence, Record
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.logs.links import LinkMetadata
     from mbtool.sources.files import CaptureFile
@@ -305,6 +304,8 @@ class Reading:
 
     def _own_decoder(self) -> Decoder:
         """Create a decoder, from the user's options, for a file that lacks its links' settings."""
+        from mbtool.decode.decoder import Decoder
+
         options = self._options
         return Decoder(
             Namer(options.assignments),
@@ -459,6 +460,8 @@ class Reading:
         lines = serial_lines(log)
 
         def begin() -> Decoder:
+            from mbtool.decode.decoder import Decoder
+
             return Decoder(
                 Namer(self.assignments),
                 lines=lines,

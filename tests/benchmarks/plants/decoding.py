@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from typing import TYPE_CHECKING
 
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Transaction, Verdict
 from tests.benchmarks.plants.delivery import Adapter, delivered
 from tests.benchmarks.plants.judging import Told, ToldFrame, ToldTransaction

@@ -17,12 +17,17 @@ if TYPE_CHECKING:
 SCOPE = ("10.0.0.9",)
 
 
+def _as_is(case: tuple[str, Finding]) -> tuple[str, Finding]:
+    return case
+
+
 class Asked:
     """Things that a master asks, one each ns, and what is found."""
 
     def __init__(self, number: int = 3, window_ns: int = 10**9) -> None:
         self.cases = SecurityCases()
-        self.things = Unpolled(SecurityLimit(number, window_ns), self.cases)
+        limit = SecurityLimit(number, window_ns)
+        self.things = Unpolled[tuple[str, Finding]]("SEC-201", _as_is, limit, self.cases)
         self.now_ns = 0
 
     def ask(self, item: int, request: int = 1, *, is_answered: bool = True) -> bool:
@@ -32,8 +37,8 @@ class Asked:
             SCOPE,
             item,
             request,
+            self.now_ns,
             lambda: (str(item), finding),
-            at_ns=self.now_ns,
             is_answered=is_answered,
         )
 
