@@ -27,7 +27,7 @@ import zstandard
 
 from mbtool.core import SerialFormat
 from mbtool.core.errors import MbtoolError
-from mbtool.decode import Bus
+from mbtool.decode.connections import Bus
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.logs import LogReader
