@@ -42,7 +42,7 @@ PURE_ROOMS = (
 
 ROOMS_OF_TESTS_ONLY = {
     "adversary", "benchmarks", "cases", "certificates", "differential", "docs", "end_to_end",
-    "fuzz", "golden", "kills", "properties", "real_drivers", "soak",
+    "fuzz", "golden", "kills", "power_cuts", "properties", "real_drivers", "soak",
 }  # fmt: skip
 """Folders of tests/ that test several rooms at once, or hold what tests read."""
 

@@ -124,7 +124,7 @@ class AllowedPeers:
 
         `name` is the user's text for the endpoint.
         """
-        if not self.networks and host not in self:
+        if not self.networks and host not in THIS_MACHINE:
             raise UsageError(
                 f"{name}: other machines can reach {host}; listen at 127.0.0.1, or name "
                 "those that may connect: --allow 192.168.1.0/24, or --allow 0.0.0.0/0 for all"

@@ -50,7 +50,7 @@ DEAR = {
     "line: set points without echoes": 18,
     "line: one unknown function": 16,
     "line: pairs of an unknown function": 22,
-    "line: random functions": 12,
+    "line: random functions": 16,
     "line: heads before writes": 32,
 }
 """Inputs that cost more than MOST_TIMES."""
