@@ -14,7 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import event_finding, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
 
