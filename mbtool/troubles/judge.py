@@ -24,7 +24,7 @@ from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
 from mbtool.troubles.cases import Cases
-from mbtool.troubles.failure_limits import is_grave
+from mbtool.troubles.failed_shares import is_grave
 from mbtool.troubles.line_senses import line_senses
 from mbtool.troubles.network_senses import network_senses
 from mbtool.troubles.polling import polling_troubles

@@ -41,7 +41,7 @@ from mbtool.core.wording import duration, host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
-from mbtool.troubles.failure_limits import time_of_failures
+from mbtool.troubles.failed_shares import time_of_failures
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 

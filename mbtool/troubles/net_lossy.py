@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import duration, host_of
 from mbtool.modbus import RESPONDED
-from mbtool.troubles.failure_limits import is_grave
+from mbtool.troubles.failed_shares import is_grave
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
