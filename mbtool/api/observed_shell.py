@@ -25,7 +25,7 @@ from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 from mbtool.slave.shells import TcpSlave, UdpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
-from mbtool.workflows.shared.fault_switch import FaultSwitch
+from mbtool.workflows.shared.faults import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 if TYPE_CHECKING:
