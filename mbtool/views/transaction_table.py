@@ -44,8 +44,8 @@ from mbtool.views.cells import (
 )
 from mbtool.views.changed_points import ChangedPoints
 from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
-from mbtool.views.row_forms import RowForm
-from mbtool.views.table_options import TableColumn, TableOptions
+from mbtool.views.tables import RowForm
+from mbtool.views.tables import TableColumn, TableOptions
 from mbtool.views.tables import printable
 from mbtool.views.times import Times
 
