@@ -14,7 +14,7 @@ from mbtool.views.statistics_columns import (
     shortened,
     table_lines,
 )
-from mbtool.views.statistics_words import counted, poll_text
+from mbtool.views.statistics_columns import counted, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import units_text
 from mbtool.views.statistics_columns import StyledLine
-from mbtool.views.statistics_words import per_second
+from mbtool.views.statistics_columns import per_second
 from mbtool.views.trouble_lines import trouble_lines
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from mbtool.views.statistics_columns import (
 )
 from mbtool.views.statistics_cycles import cycle_lines
 from mbtool.views.statistics_summary import summary_lines
-from mbtool.views.statistics_words import counted, per_second, poll_text
+from mbtool.views.statistics_columns import counted, per_second, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
