@@ -18,7 +18,7 @@ from mbtool.watching.adu_parts import adu_parts
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.watch_columns import Spans
-    from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
+    from mbtool.watching.board import TroubleRow, WatchedSlaveRow
     from mbtool.watching.watched_rows import KeptRecord
 
 WHY = {

@@ -24,7 +24,7 @@ from mbtool.watching.value_formats import ValueFormat, float_text, register_text
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
-    from mbtool.watching.board_rows import PollRow, WatchedPointRow
+    from mbtool.watching.board import PollRow, WatchedPointRow
 
 _MAX_VALUES = 125
 _LEAST_NAME, _LEAST_POINT = 44, 32

@@ -16,7 +16,7 @@ from mbtool.views.watch_words import age, count, in_table_words
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from mbtool.watching.board_rows import RecordRow, TroubleRow, WatchedSlaveRow
+    from mbtool.watching.board import RecordRow, TroubleRow, WatchedSlaveRow
 
 _STYLES = {
     Outcome.EXCEPTION: "red",

@@ -27,7 +27,7 @@ from mbtool.views.trouble_lines import watch_text
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
-from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
+from mbtool.watching.board import TroubleRow, WatchedSlaveRow
 from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:

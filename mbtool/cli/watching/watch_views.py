@@ -13,7 +13,7 @@ from mbtool.views.watch_columns import WatchColumn
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
 from mbtool.watching.board import Board
-from mbtool.watching.board_rows import (
+from mbtool.watching.board import (
     RecordRows,
     point_rows,
     poll_rows,
