@@ -19,7 +19,7 @@ from mbtool.core import LinkError, UsageError
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
 from mbtool.replay.significance import MIN_VALUES
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.child import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit, request_text
 
