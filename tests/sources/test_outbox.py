@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.core import Chunk, Quiet
 from mbtool.sources.inbox import ITEM_COST, Inbox
-from mbtool.sources.outbox import MAX_HELD, Outbox
+from mbtool.sources.inbox import MAX_HELD, Outbox
 from tests.sources.live_helpers import PATIENCE_S, drain
 
 if TYPE_CHECKING:
