@@ -18,7 +18,7 @@ from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
-from mbtool.replay.significance import MIN_VALUES
+from mbtool.replay.comparing import MIN_VALUES
 from mbtool.sources.child import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit, request_text
