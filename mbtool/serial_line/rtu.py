@@ -66,7 +66,7 @@ from mbtool.serial_line.frame_copies import FrameCopies
 from mbtool.serial_line.line_statistics import LatencyStatistics, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
-from mbtool.serial_line.silences import last_silence, longest_silence_ns
+from mbtool.serial_line.response_timeout import last_silence, longest_silence_ns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat
