@@ -49,7 +49,7 @@ from mbtool.modbus.adu import (
 )
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED, WRITE_SEVERAL
 from mbtool.serial_line import costs
-from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
+from mbtool.serial_line.line_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import (
     CERTAIN_BY,
     ROLES,
