@@ -42,7 +42,7 @@ from mbtool.logs.layout import (
     data_end,
     packed,
 )
-from mbtool.logs.log_end import begins_log, check_end
+from mbtool.logs.summary import begins_log, check_end
 from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
 from mbtool.logs.summary import LogSummary, read_summary
