@@ -58,7 +58,7 @@ from mbtool.logs.messages import (
     LogTime,
     PointMessage,
 )
-from mbtool.logs.point_topics import PointTopics
+from mbtool.logs.points import PointTopics
 from mbtool.logs.points import PointChanges
 from mbtool.version import __version__
 
