@@ -26,7 +26,7 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.ledger.account import MAX_POLLS, Account
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
-from mbtool.modbus.damaged_answers import MAX_FRAMES
+from mbtool.modbus.response import MAX_FRAMES
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 from mbtool.values.guessed_series import guessed_name
 from mbtool.watching.guessed_points import GuessedPoints, number_of
