@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
-from mbtool.core.wording import clock_time
+from mbtool.core.moments import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.functions import READ_WRITE_REGISTERS

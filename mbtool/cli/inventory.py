@@ -202,7 +202,7 @@ def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None
 
     `new` are the changes since the baseline, which are counted first; None without a baseline.
     """
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.ledger.inventory_rows import Role
 
     quiet = sum(row.role in (Role.SILENT, Role.UNHEARD) for row in document.slaves)

@@ -16,7 +16,7 @@ from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
-from mbtool.core.wording import counted, milliseconds, plural
+from mbtool.core.moments import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
 from mbtool.replay.comparing import MIN_VALUES
 from mbtool.sources.child import run_promptly

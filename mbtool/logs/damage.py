@@ -12,9 +12,9 @@ import re
 from typing import TYPE_CHECKING
 import msgspec
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import plural
+from mbtool.core.moments import plural
 from mbtool.core import DamageError, EventKind, WireEvent
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -35,7 +35,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 from collections import Counter
 from collections.abc import Sequence
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus.response import ConnectionEnding

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import WireEvent
-from mbtool.core.wording import counted, duration, in_ms
+from mbtool.core.moments import counted, duration, in_ms
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import Severity

@@ -18,14 +18,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import duration, host_of
+from mbtool.core.moments import duration, host_of
 from mbtool.modbus import RESPONDED
 from mbtool.troubles.failed_shares import is_grave
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 from collections import Counter, OrderedDict
 from mbtool.core import EventKind
-from mbtool.core.wording import counted, duration, host_of
+from mbtool.core.moments import counted, duration, host_of
 from mbtool.modbus import Outcome
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 

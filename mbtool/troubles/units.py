@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import counted, in_ms, percent
+from mbtool.core.moments import counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times

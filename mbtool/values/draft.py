@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder

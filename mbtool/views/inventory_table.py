@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 from mbtool.ledger.baseline import ChangeKind
 from mbtool.views.tables import printable
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,

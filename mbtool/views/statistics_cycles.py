@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted as counted_words
-from mbtool.core.wording import duration, in_ms, in_s
+from mbtool.core.moments import counted as counted_words
+from mbtool.core.moments import duration, in_ms, in_s
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,

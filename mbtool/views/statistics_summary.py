@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted, duration, percent
+from mbtool.core.moments import counted, duration, percent
 from mbtool.ledger.account import MAX_LINKS, MAX_USES
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import is_counted_together

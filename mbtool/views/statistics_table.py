@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import clock_time, day, duration, in_ms, in_s, percent, plural
+from mbtool.core.moments import clock_time, day, duration, in_ms, in_s, percent, plural
 from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.distribution import Bucket
 from mbtool.ledger.request_tally import RequestTally, merged

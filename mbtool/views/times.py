@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import clock_time, day
 from mbtool.views.tables import TimeStyle
 
 

@@ -33,7 +33,7 @@ from rich.text import Text
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.core.moments import SECOND_NS
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.modbus import Outcome
 from mbtool.views.cells import (
     ARROW,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, WireEvent
-from mbtool.core.wording import clock_time, day, in_ms, percent
+from mbtool.core.moments import clock_time, day, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import DirectionBy, Verdict

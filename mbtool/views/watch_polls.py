@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.core.wording import in_ms
+from mbtool.core.moments import in_ms
 from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time, host_of, in_ms, percent
+from mbtool.core.moments import clock_time, host_of, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome

@@ -13,7 +13,7 @@ from bisect import insort
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError, WireEvent
-from mbtool.core.wording import moment
+from mbtool.core.moments import moment
 from mbtool.devices.observed_slave import MAX_SAMPLED
 from mbtool.ports.clock import now_ns
 from mbtool.values.finding import Sighting, Wanted, WordsOfSlave, find, find_changed

@@ -27,7 +27,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.modbus import Outcome
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.ports.host_names import HostLookup

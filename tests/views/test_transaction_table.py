@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport
 from mbtool.views.place_columns import FEW_ROWS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time
+from mbtool.core.moments import clock_time
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
 from mbtool.views.watch_columns import (

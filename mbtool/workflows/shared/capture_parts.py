@@ -23,7 +23,7 @@ from mbtool.core import Packet
 from typing import TYPE_CHECKING, TypeVar
 from mbtool.core import EventKind, Packet, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.modbus import Transaction, Verdict
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.link_spec import MODBUS_PORT
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogReader

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
 from mbtool.core.moments import TimePoint, parse_moment
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import clock_time, day
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
