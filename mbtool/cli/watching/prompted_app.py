@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.cli.watching.drawn_app import DrawnApp
-from mbtool.cli.watching.finding import find_row, hex_bytes
+from mbtool.cli.watching.prompt import find_row, hex_bytes
 from mbtool.cli.watching.prompt import Asking, PromptLine, read_filter, why_wrong
 from mbtool.core import MbtoolError, UsageError
 
