@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-import typer
 import json
 import os
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
 from mbtool.cli.options import ListFormat
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 # mbtool line: make a virtual serial line with several ends.
+
 
 def line(
     ends: Annotated[

@@ -7,11 +7,11 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from decimal import Decimal
 from typing import NamedTuple
+
 from mbtool.core.errors import UsageError
-from datetime import date
 
 MAX_NS = 2**63 - 1
 
@@ -105,7 +105,7 @@ def _duration_ns(text: str) -> int | None:
 # Writes counts, durations, shares and times as text, for messages and tables.
 
 _YEAR_1980_NS = 315_532_800_000_000_000
-_WORDING_EPOCH = date(1970, 1, 1).toordinal()
+_EPOCH_DAY = date(1970, 1, 1).toordinal()
 _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86_400
 
 
@@ -196,7 +196,7 @@ def day(ts_ns: int) -> str:
     """
     days = ts_ns // (_DAY_S * 1_000_000_000)
     try:
-        return date.fromordinal(_WORDING_EPOCH + days).isoformat()
+        return date.fromordinal(_EPOCH_DAY + days).isoformat()
     except (ValueError, OverflowError):
         return f"day {days}"
 

@@ -17,9 +17,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-from mbtool.core.errors import InputError, UsageError, reason_of
-from mbtool.core.nesting import why_too_deep
 import datetime
 import difflib
 import functools
@@ -30,8 +27,11 @@ import typing
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
+
 import msgspec
-from mbtool.core.errors import ProfileError, UsageError
+
+from mbtool.core.errors import InputError, ProfileError, UsageError, reason_of
+from mbtool.core.nesting import why_too_deep
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import description
 from mbtool.devices.validation import validate

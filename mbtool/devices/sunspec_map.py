@@ -10,16 +10,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.modbus.transaction import Outcome
 from typing import TYPE_CHECKING, NamedTuple
+
 from mbtool.modbus.tables import ADDRESSES
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+
     from mbtool.devices.values import PointInstance
     from mbtool.modbus.transaction import Transaction
-    from collections.abc import Sequence
 
 # Remembers scale factors that slaves hold in registers.
 #

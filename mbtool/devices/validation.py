@@ -6,27 +6,24 @@
 
 from __future__ import annotations
 
-import unicodedata
-from typing import TYPE_CHECKING, Any
-import msgspec
-from mbtool.core.errors import ProfileError
-from mbtool.devices.model import Area, Point
 import math
 import re
-from typing import NoReturn
-from mbtool.devices.model import WORD_BITS, Point
-from mbtool.devices.point_types import PointType, WordOrder
-from mbtool.devices.values import PointInstance
-from typing import TYPE_CHECKING, NoReturn
+import unicodedata
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import msgspec
+
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.serial_format import Silence
-from mbtool.devices.model import Access, Area, Point, Profile
-from mbtool.devices.point_types import PointType
+from mbtool.devices.model import WORD_BITS, Access, Area, Point, Profile
+from mbtool.devices.point_types import PointType, WordOrder
+from mbtool.devices.values import PointInstance
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS, WRITE_LIMIT_17H, function_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
     from mbtool.devices.model import FunctionRule
     from mbtool.modbus.tables import Table
 

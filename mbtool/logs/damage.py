@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING
+
 import msgspec
-from mbtool.core import EventKind, WireEvent
-from mbtool.core.moments import plural
+
 from mbtool.core import DamageError, EventKind, WireEvent
-from mbtool.core.moments import counted
+from mbtool.core.moments import counted, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
     from mbtool.core import InputError
 
 # Counts the messages of a log that are left out because a number in them is out of range.

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.logs.messages import PointMessage
 import re
+from typing import TYPE_CHECKING
+
+from mbtool.logs.messages import PointMessage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
     from mbtool.devices import NamedTransaction
 
 MAX_POINTS = 65536

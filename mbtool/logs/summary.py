@@ -8,14 +8,13 @@
 
 from __future__ import annotations
 
-import struct
-from typing import TYPE_CHECKING
-from mbtool.logs.layout import MAGIC, MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
 import io
 import os
+import struct
 import zlib
 from bisect import bisect_left
 from typing import TYPE_CHECKING, NamedTuple
+
 from mcap.records import (
     AttachmentIndex,
     Channel,
@@ -24,8 +23,9 @@ from mcap.records import (
     Schema,
     Statistics,
 )
+
 from mbtool.core import InputError
-from mbtool.logs.layout import FOOTER_SIZE, MAGIC, MAX_RECORD, RECORD_HEAD, Opcode
+from mbtool.logs.layout import FOOTER_SIZE, MAGIC, MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
 from mbtool.logs.records import RecordStream
 
 if TYPE_CHECKING:
@@ -111,10 +111,6 @@ def _broken(records: RecordStream, start: int, *, is_whole: bool) -> InputError:
     return records.cut(records.position)
 
 
-_SUMMARY_FOOTER = struct.Struct("<QQI")
-_SUMMARY_CRC_SIZE = 4
-
-
 class ChunkPlace(NamedTuple):
     """The offset in the file at which a chunk begins, and the log times (ns) of its messages."""
 
@@ -174,13 +170,13 @@ def _read(stream: BinaryIO, name: str) -> LogSummary | None:
     stream.seek(size - FOOTER_SIZE)
     footer = stream.read(FOOTER_SIZE)
     opcode, length = RECORD_HEAD.unpack_from(footer)
-    start, _, crc = _SUMMARY_FOOTER.unpack_from(footer, RECORD_HEAD.size)
-    if opcode != Opcode.FOOTER or length != _SUMMARY_FOOTER.size or footer[-len(MAGIC) :] != MAGIC:
+    start, _, crc = _FOOTER.unpack_from(footer, RECORD_HEAD.size)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size or footer[-len(MAGIC) :] != MAGIC:
         return None
     if not 0 < start <= size - FOOTER_SIZE or size - start > MAX_RECORD or not crc:
         return None
     stream.seek(start)
-    data = stream.read(size - len(MAGIC) - _SUMMARY_CRC_SIZE - start)
+    data = stream.read(size - len(MAGIC) - _CRC_SIZE - start)
     return _parsed(data, name) if zlib.crc32(data) == crc else None
 
 

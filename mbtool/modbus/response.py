@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
-from mbtool.core import EventKind
-from mbtool.modbus.transaction import Outcome
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+from mbtool.core import EventKind
 from mbtool.modbus.adu import Transport, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent

@@ -30,11 +30,12 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
-from collections import Counter
-from collections.abc import Sequence
+
 from mbtool.core.moments import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
@@ -53,6 +54,7 @@ from mbtool.replay.wording import DeviceWording, function_text, latency_side, va
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
+
     from mbtool.devices import Profile
     from mbtool.replay.connections import RecordedConnection
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from math import inf
-from math import log2
+from math import inf, log2
+
 from mbtool.serial_line import costs
 
 # Learns if an adapter may merge a request and its retry into one burst of bytes.

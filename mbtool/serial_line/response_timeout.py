@@ -9,13 +9,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 from collections import deque
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 # Finds the silences between bytes, by the times (ns) at which the bytes ended.
+
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:
     """Return the longest silence (ns) between the first `size` bytes, which must be two or more.

@@ -18,12 +18,13 @@ late.
 
 from __future__ import annotations
 
+import errno
 import os
+import subprocess
 import sys
 from contextlib import suppress
-import errno
-import subprocess
 from typing import TYPE_CHECKING
+
 from mbtool.core import LinkError
 from mbtool.ports.clock import share_clock
 
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 #
 # Such a process sleeps in select between bytes, so even on a machine with one core it takes little
 # time from others. In any case the kernel keeps 5 % of the time for ordinary processes (sched(7)).
+
 
 def run_promptly() -> None:
     """Ask the system to run this thread before ordinary processes from now on.

@@ -29,13 +29,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.core import Chunk
 from collections import deque
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Condition, Event
 from typing import TYPE_CHECKING, Protocol
+
 from mbtool.core import Chunk, Connection, Direction, EventKind, LinkError, Packet, Quiet, WireEvent
 from mbtool.packets import StreamClosed, StreamEvent, StreamGap, StreamItem, StreamOpened
 

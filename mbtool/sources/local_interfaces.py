@@ -12,12 +12,13 @@
 
 from __future__ import annotations
 
-import re
-from functools import cache, lru_cache
 import os
+import re
 import socket
 import sys
+from functools import cache, lru_cache
 from pathlib import Path
+
 from mbtool.core.local_ports import LocalInterface, PortTrouble
 from mbtool.ports.local_ports import read_number, read_text
 from mbtool.sources.interface import capture_trouble, hardware_trouble

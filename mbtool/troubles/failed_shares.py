@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.modbus import RESPONDED
 from typing import TYPE_CHECKING, NamedTuple
+
 from mbtool.core.moments import DAY_NS
-from mbtool.modbus import Outcome
+from mbtool.modbus import RESPONDED, Outcome
 
 if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally

@@ -36,8 +36,7 @@ from itertools import takewhile
 from statistics import median, median_low
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.moments import DAY_NS
-from mbtool.core.moments import duration, host_of
+from mbtool.core.moments import DAY_NS, duration, host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS

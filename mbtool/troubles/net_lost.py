@@ -15,26 +15,24 @@
 
 from __future__ import annotations
 
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.moments import duration, host_of
-from mbtool.modbus import RESPONDED
+from mbtool.core.moments import counted, duration, host_of
+from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.failed_shares import is_grave
 from mbtool.troubles.sense import MAX_LINKS, Sense
-from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
-from collections import Counter, OrderedDict
-from mbtool.core import EventKind
-from mbtool.core.moments import counted, duration, host_of
-from mbtool.modbus import Outcome
-from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.answered_run import AnsweredRun
-    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.ledger.statistics_connections import ConnectionTally
+    from mbtool.ledger.statistics_report import LinkReport
 
 # NET-LOSSY: a path between master and slave that loses packets.
 #

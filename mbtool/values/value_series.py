@@ -6,17 +6,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.values.judging import WordHistory
 from itertools import chain, compress, groupby, islice, starmap
 from operator import ne
+from typing import TYPE_CHECKING
+
 import msgspec
 
+from mbtool.values.judging import WordHistory
+
 if TYPE_CHECKING:
-    from mbtool.devices.observed_slave import ObservedSlave
     from collections.abc import Sequence
 
+    from mbtool.devices.observed_slave import ObservedSlave
+
 # The words that a slave's registers had over time, as `judging.py` looks at them.
+
 
 def histories_of(seen: ObservedSlave) -> list[WordHistory]:
     """Return the histories of a slave's registers; it must have been observed with values."""

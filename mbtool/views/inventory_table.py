@@ -15,10 +15,11 @@ from __future__ import annotations
 
 from textwrap import wrap
 from typing import TYPE_CHECKING
+
 from rich.text import Text
-from mbtool.ledger.baseline import ChangeKind
-from mbtool.views.tables import printable
+
 from mbtool.core.moments import counted
+from mbtool.ledger.baseline import ChangeKind
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,
@@ -29,13 +30,21 @@ from mbtool.ledger.inventory_ranges import (
 from mbtool.ledger.inventory_rows import Role, iso_time
 from mbtool.modbus import FUNCTIONS, Transport, exception_name
 from mbtool.modbus.functions import READ_WRITE_REGISTERS
+from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from rich.console import Console
-    from mbtool.ledger.baseline import InventoryChange
     from collections.abc import Iterable, Iterator, Sequence
-    from mbtool.ledger.inventory_rows import FunctionUse, InventoryDocument, MasterRow, ProfileFit, SlaveRow
+
+    from rich.console import Console
+
+    from mbtool.ledger.baseline import InventoryChange
+    from mbtool.ledger.inventory_rows import (
+        FunctionUse,
+        InventoryDocument,
+        MasterRow,
+        ProfileFit,
+        SlaveRow,
+    )
 
 # Prints how an inventory (who talks to whom, and which ranges) differs from an older one.
 #
@@ -67,8 +76,7 @@ def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
 
 UNKNOWN = "unknown"
 """Stands for the profile of a unit whose traffic tells none."""
-_INVENTORY_TABLE_INDENT = " " * 6
-_INVENTORY_TABLE_NARROWEST = 40
+_HANG = " " * 6
 _FEW_RANGES = 12
 _FEW_PLACES = 6
 _MANY_ROWS = 60
@@ -345,7 +353,7 @@ def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry])
     for cells, style, under in entries:
         console.print(Text(line(cells), style or "bold cyan"), soft_wrap=True)
         for text in under:
-            _print_line(console, text, _INVENTORY_TABLE_INDENT)
+            _print_line(console, text, _HANG)
 
 
 def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
@@ -355,7 +363,7 @@ def _print_line(console: Console, text: str, indent: str, style: str = "") -> No
     """
     lines = [printable(text)]
     if console.is_terminal:
-        width = max(console.width, _INVENTORY_TABLE_NARROWEST)
+        width = max(console.width, _NARROWEST)
         lines = wrap(
             lines[0],
             width - len(indent),

@@ -7,17 +7,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-from mbtool.modbus import short_name
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import short_name
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
 # Writes the figures of statistics as text: rates, counts and polls.
+
 
 def per_second(rate: float | None) -> str:
     """Write a rate per second: 39.1, 0.25, 0.0012; `-` for None."""

@@ -10,11 +10,12 @@ from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
     StyledLine,
+    counted,
     more_line,
+    poll_text,
     shortened,
     table_lines,
 )
-from mbtool.views.statistics_columns import counted, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

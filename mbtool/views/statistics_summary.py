@@ -10,8 +10,7 @@ from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import units_text
-from mbtool.views.statistics_columns import StyledLine
-from mbtool.views.statistics_columns import per_second
+from mbtool.views.statistics_columns import StyledLine, per_second
 from mbtool.views.trouble_lines import trouble_lines
 
 if TYPE_CHECKING:

@@ -18,14 +18,16 @@ from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
     StyledLine,
+    counted,
     more_line,
+    per_second,
+    poll_text,
     shortened,
     table_lines,
     wrapped,
 )
 from mbtool.views.statistics_cycles import cycle_lines
 from mbtool.views.statistics_summary import summary_lines
-from mbtool.views.statistics_columns import counted, per_second, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from enum import StrEnum
+
+from msgspec.structs import replace
 from rich.table import Table
 from rich.text import Text
-from dataclasses import dataclass
-from msgspec.structs import replace
+
 from mbtool.devices import NamedTransaction
 from mbtool.modbus import FUNCTIONS
 from mbtool.views.cells import finding_texts, transaction_text, values_text
-from enum import StrEnum
+
 
 def printable_json(text: str) -> str:
     """Return a JSON text in which characters that cannot be printed are written as JSON escapes."""
@@ -92,6 +95,7 @@ class RowForm:
 
 
 # The user's options for the table of transactions.
+
 
 class TimeStyle(StrEnum):
     """The kind of time that each row of the table shows."""

@@ -11,23 +11,19 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, overload
-from mbtool.core import WireEvent
-from mbtool.ledger.request_tally import RequestTally
-from mbtool.ledger.statistics_report import report, unit_tallies
-from mbtool.modbus import Outcome
-from mbtool.watching.watched_rows import NEVER_NS, KeptRecord, errors_of
-from collections import OrderedDict, deque
-from typing import TYPE_CHECKING
+
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.ledger.account import MAX_POLLS, Account
+from mbtool.ledger.request_tally import RequestTally
+from mbtool.ledger.statistics_report import report, unit_tallies
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
-from mbtool.modbus.response import MAX_FRAMES
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
+from mbtool.modbus.response import MAX_FRAMES
 from mbtool.values.guessed_series import guessed_name
 from mbtool.watching.guessed_points import GuessedPoints, number_of
 from mbtool.watching.watched_rows import (
@@ -36,19 +32,19 @@ from mbtool.watching.watched_rows import (
     WatchedPoint,
     WatchedPoll,
     WatchedTrouble,
+    errors_of,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Hashable, Mapping
-    from mbtool.ledger.poll_statistics import PollKey
-    from mbtool.ledger.unit_account import UnitAccount
-    from mbtool.modbus import Table
-    from mbtool.troubles.trouble import Trouble
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Hashable, Mapping
+
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, PointValue, Profile
-    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.poll_statistics import PollKey, PollStatistics
+    from mbtool.ledger.unit_account import UnitAccount
+    from mbtool.modbus import Table
     from mbtool.troubles.judge import Judgement
+    from mbtool.troubles.trouble import Trouble
     from mbtool.values.judging import Judged
     from mbtool.watching.watched_rows import Record
 

@@ -29,8 +29,14 @@ from mbtool.views.watch_records import (
     fitted_record,
     slave_state,
 )
-from mbtool.watching.board import Board
-from mbtool.watching.board import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
+from mbtool.watching.board import (
+    Board,
+    point_rows,
+    poll_rows,
+    record_rows,
+    slave_rows,
+    trouble_rows,
+)
 from mbtool.watching.value_formats import ValueFormat
 from mbtool.watching.watched_rows import kept_record
 from tests.ledger.masters import MS, START_NS

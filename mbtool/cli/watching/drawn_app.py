@@ -16,9 +16,8 @@ from textual.widgets import Static
 
 from mbtool.cli import exit_codes
 from mbtool.cli.watching.live_table import LiveTable
-from mbtool.cli.watching.spans import OneLine
 from mbtool.cli.watching.prompt import PromptLine
-from mbtool.cli.watching.spans import is_plain, style_of, text_of
+from mbtool.cli.watching.spans import OneLine, is_plain, style_of, text_of
 from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
 from mbtool.cli.watching.watch_settings import load_settings, save_settings
 from mbtool.cli.watching.watch_views import VIEWS

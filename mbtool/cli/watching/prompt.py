@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
-from mbtool.core import WireEvent
-from mbtool.views.watch_columns import DrawContext, row_text
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
 from textual.binding import Binding
 from textual.message import Message
 from textual.widgets import Input
-from mbtool.core import UsageError
+
+from mbtool.core import UsageError, WireEvent
 from mbtool.query.mistakes import find_mistake
 from mbtool.query.where import parse_where
+from mbtool.views.watch_columns import DrawContext, row_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from mbtool.views.watch_columns import WatchColumn
+
     from mbtool.query.where import Where
+    from mbtool.views.watch_columns import WatchColumn
 
 # Finds rows of a live table by text, or by bytes in hexadecimal.
 

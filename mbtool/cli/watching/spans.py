@@ -7,15 +7,18 @@ from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING
+
 from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 from textual.strip import Strip
 from textual.widget import Widget
+
 from mbtool.views.watch_columns import cut_spans
 
 if TYPE_CHECKING:
     from mbtool.views.watch_columns import Spans
+
 
 def strip_of(spans: Spans, width: int) -> Strip:
     """Return one line of spans, cut or padded to exactly `width` characters.
@@ -55,6 +58,7 @@ def style_of(text: str, *, plain: bool) -> Style:
 #
 # textual's Static computes the layout of the whole screen for each new text, which takes longer
 # than drawing the table.
+
 
 class OneLine(Widget):
     """A widget that shows one line of text, or a few, cut at the width of the screen."""

@@ -9,18 +9,19 @@
 from __future__ import annotations
 
 import os
-import sys
-from typing import NamedTuple
-from mbtool.core import UsageError
 import select
+import sys
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from typing import TextIO
 
 # Asks terminfo if the terminal can move its cursor and show colours.
+
 
 class TerminalAbilities(NamedTuple):
     """Two abilities of a terminal; both are assumed if terminfo does not know the terminal."""

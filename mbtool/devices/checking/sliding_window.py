@@ -8,14 +8,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import OrderedDict
 from itertools import islice
 from typing import TYPE_CHECKING, Generic, TypeVar
-from bisect import bisect_right
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+
     from mbtool.devices.checking.security_limits import SecurityLimit
 
 # A dictionary of bounded size, for the state of many connections, units or requests.

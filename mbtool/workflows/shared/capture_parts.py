@@ -18,18 +18,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-from mbtool.core import Packet
 from typing import TYPE_CHECKING, TypeVar
+
 from mbtool.core import EventKind, Packet, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.core.moments import counted
 from mbtool.modbus import Transaction, Verdict
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.decode.decoder import Evidence
     from mbtool.logs import LogReader
-    from collections.abc import Iterator
 
 BACK_NS = 1_000_000_000
 """The first packet or chunk of a file that continues a capture may be earlier than the last one of

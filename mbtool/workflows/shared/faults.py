@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
 from mbtool.core import SerialLink, UsageError
 from mbtool.slave.faults.fault_file import FaultFile
 from mbtool.slave.faults.faults import FaultKind, FaultySlave
-import threading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
     from mbtool.core import TcpLink
     from mbtool.devices import Profile
-    from mbtool.modbus import Responder
-    from collections.abc import Callable, Mapping, Sequence
-    from mbtool.core import TcpLink
     from mbtool.modbus import Responder, Response
 
 _ENDINGS = frozenset((FaultKind.CLOSE, FaultKind.RESET))
@@ -61,6 +60,7 @@ def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
 # Switches simulated faults of a slave on and off while it runs.
 #
 # The slave's thread calls `respond`; any other thread may call the other methods.
+
 
 class FaultSwitch:
     """A responder that passes requests on to a slave, and applies those faults that are switched
