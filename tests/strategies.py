@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mbtool.core import Direction
 from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu, exception_pdu
 from mbtool.modbus.layouts import Value
-from mbtool.serial_line.plausibility import COUNTS
+from mbtool.serial_line.costs import COUNTS
 
 WORD = st.integers(0, 0xFFFF)
 UNIT = st.integers(1, 247)

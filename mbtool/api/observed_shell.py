@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
-from mbtool.core.wording import clock_time
+from mbtool.core.moments import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 from mbtool.slave.shells import TcpSlave, UdpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
-from mbtool.workflows.shared.fault_switch import FaultSwitch
+from mbtool.workflows.shared.faults import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 if TYPE_CHECKING:

@@ -338,7 +338,7 @@ def _sum_up(run: CheckRun, path: str | None) -> None:
 
 def _sentence(run: CheckRun) -> str:
     """Sum up a run: `14 findings of 3 codes in 8,120 transactions; docs/findings.md ...`."""
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.troubles.words import WORDS
 
     judgement = run.judgement()

@@ -88,8 +88,8 @@ def test(
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import SerialLink, UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
+    from mbtool.core.moments import counted
     from mbtool.core.numbers import parse_unit
-    from mbtool.core.wording import counted
     from mbtool.devices import load_profile, parse_span
     from mbtool.master.wire import open_wire
     from mbtool.workflows.ask import transport_of

@@ -177,7 +177,7 @@ def _write_each(conversion: Conversion, out: str, *, overwrite: bool) -> None:
 def _tell(done: Converted, out: str) -> None:
     """Print what was written to the file `out`."""
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
 
     parts = (
         (done.packets, "packet"),

@@ -16,7 +16,7 @@ from mbtool.cli.options import Format
 from mbtool.cli.progress import Files, with_progress
 from mbtool.cli.talk import interruption_told, say
 from mbtool.core import InputError, UsageError
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -81,7 +81,7 @@ def draft(
     values; each guess has its reason above it.
     """
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.devices import parse_who
     from mbtool.devices.profile_template import name_for
     from mbtool.values.draft import draft_profile

@@ -25,7 +25,7 @@ def doctor(
     from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.ports.local_ports import local_ports
     from mbtool.sources.interface import capture_trouble
     from mbtool.version import __version__

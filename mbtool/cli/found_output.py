@@ -60,7 +60,7 @@ def keep_places(
     from mbtool.cli.profile_files import write
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.devices import load_profile
     from mbtool.devices.loading import profile_from_toml
     from mbtool.devices.profile_template import name_for

@@ -178,11 +178,10 @@ def _write(
     CSV has only the changes. `everything` lets the table show all rows.
     """
     from mbtool.cli.console import PipeConsole
-    from mbtool.views.inventory_changes import print_changes
     from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
     from mbtool.views.inventory_documents import changes_csv, inventory_csv
     from mbtool.views.inventory_graph import inventory_dot
-    from mbtool.views.inventory_table import print_inventory
+    from mbtool.views.inventory_table import print_changes, print_inventory
 
     match format_:
         case InventoryFormat.TABLE if new is not None:
@@ -202,7 +201,7 @@ def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None
 
     `new` are the changes since the baseline, which are counted first; None without a baseline.
     """
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.ledger.inventory_rows import Role
 
     quiet = sum(row.role in (Role.SILENT, Role.UNHEARD) for row in document.slaves)

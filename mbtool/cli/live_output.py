@@ -14,7 +14,7 @@ from mbtool.cli.output import RecordOutput, told_as_lost
 from mbtool.cli.talk import say
 from mbtool.cli.view_queue import ViewQueue, unwaited
 from mbtool.core import OutputError
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

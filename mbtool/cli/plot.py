@@ -162,7 +162,7 @@ def _demand_matplotlib() -> None:
 def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:
     from mbtool.cli.output import opened, told_as_lost
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.views.plot_image import write_image
 
     series = list(values.series.items())
@@ -182,7 +182,7 @@ def _print(
     from mbtool.cli.console import PipeConsole
     from mbtool.cli.output import told_as_lost
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.sources.files import shown_name
     from mbtool.views.plot_documents import values_json, values_lines
     from mbtool.views.plot_lines import plot_lines

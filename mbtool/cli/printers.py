@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.decode.usual_run import UsualRun
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.views.row_forms import RowForm
-    from mbtool.views.table_options import TableOptions
+    from mbtool.views.tables import RowForm, TableOptions
 
     ProfileFor = Callable[[NamedTransaction], Profile | None]
 

@@ -39,7 +39,7 @@ def profile_name(file: str, output: str | None) -> str | None:
 
 def give_imported(imported: ImportedList, output: str | None, *, overwrite: bool) -> None:
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
 
     for remark in imported.remarks:
         say(remark)

@@ -10,7 +10,7 @@ from mbtool.cli.output import told_as_lost
 from mbtool.cli.talk import say
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -26,7 +26,7 @@ def recover(
     from mbtool.cli import exit_codes
     from mbtool.cli.output_file import left_told
     from mbtool.cli.talk import say
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.workflows.recover import loss_text, recover
 
     with left_told(good):

@@ -10,8 +10,8 @@ from mbtool.cli import exit_codes
 from mbtool.cli.keys import controlled
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import say
-from mbtool.core.wording import milliseconds
-from mbtool.sources.priority import run_promptly
+from mbtool.core.moments import milliseconds
+from mbtool.sources.child import run_promptly
 from mbtool.workflows.replay_bus import BusRun, line_link
 
 if TYPE_CHECKING:

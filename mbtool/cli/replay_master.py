@@ -16,10 +16,10 @@ from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
-from mbtool.core.wording import counted, milliseconds, plural
+from mbtool.core.moments import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
-from mbtool.replay.significance import MIN_VALUES
-from mbtool.sources.priority import run_promptly
+from mbtool.replay.comparing import MIN_VALUES
+from mbtool.sources.child import run_promptly
 from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit, request_text
 

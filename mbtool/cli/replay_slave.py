@@ -14,7 +14,7 @@ from mbtool.cli.progress import with_progress
 from mbtool.cli.record_order import start_ns
 from mbtool.cli.serve import serve, while_read
 from mbtool.cli.talk import say
-from mbtool.core.wording import counted, plural
+from mbtool.core.moments import counted, plural
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS
 from mbtool.replay import AnsweredFrom

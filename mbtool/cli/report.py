@@ -98,7 +98,7 @@ def report(
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.views.report.contents import ReportWords
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
@@ -178,7 +178,7 @@ def _write_folder(
     from mbtool.cli.progress import Files, with_progress
     from mbtool.cli.talk import say
     from mbtool.core import InputError
-    from mbtool.core.wording import counted
+    from mbtool.core.moments import counted
     from mbtool.views.report.folder_page import LEVELS, UNREAD
     from mbtool.workflows.report_folder import page_of
 

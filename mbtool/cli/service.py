@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.ports.clock import monotonic_ns, now_ns
 from mbtool.ports.service_manager import ServiceManager
 from mbtool.workflows.shared.heartbeat import HeartbeatLog

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:

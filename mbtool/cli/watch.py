@@ -80,7 +80,7 @@ def watch(
     from mbtool.cli.options import condition, given_types
     from mbtool.cli.stats import is_link
     from mbtool.cli.talk import never_waiting
-    from mbtool.cli.watching.terminal_abilities import prepare_terminal
+    from mbtool.cli.watching.terminal_output import prepare_terminal
     from mbtool.core import UsageError
 
     _demand_textual()

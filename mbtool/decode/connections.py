@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.decode.bus_in_stream import begin_of_bus
 from mbtool.decode.network_pairing import NetworkPairing
 from mbtool.decode.pairing import Pairing

@@ -44,8 +44,8 @@ from mbtool.devices.profile_checks import (
 )
 from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.response_checks import response_findings
-from mbtool.devices.scale_factors import ScaleFactors
 from mbtool.devices.standard_checks import form_codes, request_codes
+from mbtool.devices.sunspec_map import ScaleFactors
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import (

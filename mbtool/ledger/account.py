@@ -29,8 +29,8 @@ from mbtool.ledger.statistics_connections import ConnectionTally
 from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
 from mbtool.modbus import Outcome
-from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
+from mbtool.modbus.response import DamagedAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

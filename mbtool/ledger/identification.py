@@ -22,7 +22,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.profile_match import match_profiles
 from mbtool.devices.request_match import compare_with_profile

@@ -32,8 +32,8 @@ from mcap.records import Channel, Schema
 from mbtool.core import Chunk, DamageError, Packet
 from mbtool.devices import NamedTransaction
 from mbtool.logs import schemas
+from mbtool.logs.damage import ImpossibleItems
 from mbtool.logs.evidence_blocks import separated
-from mbtool.logs.impossible import ImpossibleItems
 from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode
 from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage
 from mbtool.logs.records import McapRecord

@@ -37,10 +37,10 @@ from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import EVIDENCE_ONLY, LIBRARY, PROFILE, READ_VERSIONS, Opcode
-from mbtool.logs.log_end import begins_log, check_end, is_open_end
 from mbtool.logs.message_decoder import MessageDecoder
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.records import RecordStream
+from mbtool.logs.summary import begins_log, check_end, is_open_end
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -42,10 +42,9 @@ from mbtool.logs.layout import (
     data_end,
     packed,
 )
-from mbtool.logs.log_end import begins_log, check_end
 from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
-from mbtool.logs.summary import LogSummary, read_summary
+from mbtool.logs.summary import LogSummary, begins_log, check_end, read_summary
 from mbtool.logs.writer import topic_name
 from mbtool.version import __version__
 

@@ -58,8 +58,7 @@ from mbtool.logs.messages import (
     LogTime,
     PointMessage,
 )
-from mbtool.logs.point_topics import PointTopics
-from mbtool.logs.points import PointChanges
+from mbtool.logs.points import PointChanges, PointTopics
 from mbtool.version import __version__
 
 if TYPE_CHECKING:

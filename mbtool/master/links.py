@@ -31,8 +31,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
-from mbtool.core.moments import SECOND_NS
-from mbtool.core.wording import duration
+from mbtool.core.moments import SECOND_NS, duration
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.master.other_master import (
     FEW_BYTES,

@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, LinkError
-from mbtool.core.wording import counted, duration
+from mbtool.core.moments import counted, duration
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS, Adu, function_name
 from mbtool.modbus.expected_response import ExpectedResponse

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

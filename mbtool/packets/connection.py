@@ -42,7 +42,7 @@
 from __future__ import annotations
 
 from mbtool.core import Connection, Direction, EventKind, Origin, WireEvent
-from mbtool.core.wording import in_ms
+from mbtool.core.moments import in_ms
 from mbtool.packets.ended_connection import WINDOW, begins_another
 from mbtool.packets.plain_bytes import PlainBytes, RestPlace
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment

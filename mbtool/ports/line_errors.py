@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

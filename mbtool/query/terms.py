@@ -18,7 +18,7 @@ from typing import Any
 
 from msgspec import inspect
 
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.devices.transaction_fields import transaction_fields
 from mbtool.modbus import FUNCTIONS

@@ -15,7 +15,7 @@ from mbtool.replay.player import AnsweredFrom, Device, OnMiss, RecordedSlave
 from mbtool.replay.recording import RecordedAnswer, Recording, RequestKind
 from mbtool.replay.script import Script, Step
 from mbtool.replay.steering import Control, PlayerControls, Progress, Steering
-from mbtool.replay.time_range import TimeRange
+from mbtool.replay.timeline import TimeRange
 from mbtool.replay.traffic import Traffic
 
 __all__ = [

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from mbtool.modbus import Transaction
-    from mbtool.replay.time_range import TimeRange
+    from mbtool.replay.timeline import TimeRange
 
 _UNREACHED = "cannot be reached"
 """Part of a tap's message when it could not connect to the slave; other refusals are the tap's."""

@@ -43,8 +43,8 @@ from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import exception_name, parse_pdu, register_access
 from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.replay.comparing import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.script import Step
-from mbtool.replay.significance import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 

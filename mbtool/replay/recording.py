@@ -29,8 +29,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import Direction
 from mbtool.modbus import Outcome, Table, parse_pdu, register_access, values_after, whole_pdu
 from mbtool.replay.damaged import DamagedAnswer, damaged_answers
-from mbtool.replay.time_range import TimeRange
-from mbtool.replay.timeline import Timeline
+from mbtool.replay.timeline import Timeline, TimeRange
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -23,7 +23,7 @@ from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.serial_line import costs
 from mbtool.serial_line.bit_repair import repaired
-from mbtool.serial_line.plausibility import is_counted
+from mbtool.serial_line.costs import is_counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -31,7 +31,7 @@ from mbtool.serial_line.bus_model import (
     Classification,
 )
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, confidence_of
-from mbtool.serial_line.plausibility import is_odd_request, is_padded
+from mbtool.serial_line.costs import is_odd_request, is_padded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -29,9 +29,9 @@ from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
+from mbtool.serial_line.costs import is_odd_request, is_odd_response, is_padded
 from mbtool.serial_line.line_history import ENOUGH_PAUSES
 from mbtool.serial_line.line_statistics import LatencyStatistics
-from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_padded
 
 if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory

@@ -49,7 +49,6 @@ from mbtool.modbus.adu import (
 )
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED, WRITE_SEVERAL
 from mbtool.serial_line import costs
-from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import (
     CERTAIN_BY,
     ROLES,
@@ -63,10 +62,15 @@ from mbtool.serial_line.bus_state import NO_RIVAL_CONFIDENCE
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
 from mbtool.serial_line.frame_copies import FrameCopies
-from mbtool.serial_line.line_statistics import LatencyStatistics, LineStatistics
+from mbtool.serial_line.line_statistics import (
+    MAX_GLUED,
+    BurstStatistics,
+    LatencyStatistics,
+    LineStatistics,
+)
 from mbtool.serial_line.paths import Segment, SegmentKind
+from mbtool.serial_line.response_timeout import last_silence, longest_silence_ns
 from mbtool.serial_line.search import PathSearch
-from mbtool.serial_line.silences import last_silence, longest_silence_ns
 
 if TYPE_CHECKING:
     from mbtool.core import SerialFormat

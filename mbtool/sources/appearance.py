@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -37,7 +37,7 @@ from mbtool.core import (
     SerialFormat,
     UsageError,
 )
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
 from mbtool.sources.byte_files import read_hex, read_raw

@@ -23,7 +23,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_opening import open_listening
 from mbtool.ports.serial_port import IDLE_S, ListeningPort

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import LinkError
 from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_records import RecordKind, RecordWriter
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.child import run_promptly
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

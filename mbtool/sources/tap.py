@@ -37,8 +37,7 @@ from mbtool.packets import CloseReason
 from mbtool.ports.clock import now_ns
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener, reset
 from mbtool.ports.tls import client_context, server_context
-from mbtool.sources.inbox import Ended
-from mbtool.sources.outbox import Outbox
+from mbtool.sources.inbox import Ended, Outbox
 from mbtool.sources.read_only import ReadOnlyScreen
 from mbtool.sources.relay import TcpRelay
 from mbtool.sources.source import LiveSource

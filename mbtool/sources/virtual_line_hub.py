@@ -38,7 +38,7 @@ from errno import EEXIST
 from time import monotonic_ns
 from typing import TYPE_CHECKING
 
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.child import run_promptly
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

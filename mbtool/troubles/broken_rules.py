@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted, host_of
+from mbtool.core.moments import counted, host_of
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.troubles.trouble import Evidence, Trouble

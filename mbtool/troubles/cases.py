@@ -11,7 +11,7 @@ from heapq import heappush, heapreplace, nlargest
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import CONNECTION_OPENED, EventKind
-from mbtool.core.wording import duration, host_of
+from mbtool.core.moments import duration, host_of
 from mbtool.ledger.account import MAX_POLLS
 from mbtool.ledger.poll_statistics import PollKey, poll_key
 from mbtool.modbus import Outcome

@@ -8,12 +8,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.moments import DAY_NS
-from mbtool.modbus import Outcome
-from mbtool.troubles.failure_limits import ENOUGH, is_grave, time_of_failures
+from mbtool.modbus import RESPONDED, Outcome
 
 if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
     from mbtool.ledger.unit_account import FailureSpan, UnitAccount
+
+# The limits by which `stats`, `report` and `watch` judge failed requests.
+
+FEW = 0.01
+"""Failures of a unit are a small thing if they are a smaller share of its requests than this (0.01
+is 1 %)."""
+ENOUGH = 3
+"""Failures of a unit are a small thing if they are fewer than this."""
+THROUGHOUT = 0.1
+"""A failure that shows in this first share (0.1 is 10 %) of a unit's time was there from the
+beginning."""
+ENDED = 0.25
+"""A failure that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
+SPREAD = 0.01
+"""Failures that show in a smaller share of a unit's time than this have no time of their own."""
+
+
+def is_grave(failed: int, asked: int) -> bool:
+    """True if so many of a unit's requests failed that it is more than a small thing."""
+    return failed >= ENOUGH and failed >= FEW * asked
+
+
+def never_answers(tally: RequestTally) -> bool:
+    """True if a unit was asked, and nothing was heard from it that could be read."""
+    is_heard = tally.requests < tally.transactions or any(map(tally.count, RESPONDED))
+    return tally.surely_unanswered > 0 and not is_heard
+
+
+def are_damaged(tally: RequestTally) -> bool:
+    """True if most of the missing answers came, but with a wrong CRC or LRC."""
+    return tally.damaged * 2 > tally.unanswered
+
+
+def time_of_failures(begin: int, first: int, last: int, end: int) -> tuple[bool, bool]:
+    """Return if failures of a unit came late, and if they have ended.
+
+    The unit was asked from `begin` to `end`, and requests failed from `first` to `last`, in any
+    unit of time. If one is true, the failures are counted, and judged by `is_grave`, in their time
+    only.
+    """
+    whole = end - begin
+    if last - first < SPREAD * whole:
+        return False, False
+    return first - begin > THROUGHOUT * whole, end - last > ENDED * whole
+
 
 _SHORTEST_NS = 2_000_000_000
 """No time of failures is told of a unit that was heard for less than this (ns), as times have

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import WireEvent
-from mbtool.core.wording import counted, duration, in_ms
+from mbtool.core.moments import counted, duration, in_ms
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import Severity
@@ -24,7 +24,7 @@ from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
 from mbtool.troubles.cases import Cases
-from mbtool.troubles.failure_limits import is_grave
+from mbtool.troubles.failed_shares import is_grave
 from mbtool.troubles.line_senses import line_senses
 from mbtool.troubles.network_senses import network_senses
 from mbtool.troubles.polling import polling_troubles

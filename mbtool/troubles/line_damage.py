@@ -42,7 +42,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import counted, duration, percent
+from mbtool.core.moments import counted, duration, percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import crc

@@ -27,7 +27,7 @@ from math import log
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import percent
+from mbtool.core.moments import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text

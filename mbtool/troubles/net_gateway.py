@@ -36,12 +36,11 @@ from itertools import takewhile
 from statistics import median, median_low
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.moments import DAY_NS
-from mbtool.core.wording import duration, host_of
+from mbtool.core.moments import DAY_NS, duration, host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
-from mbtool.troubles.failure_limits import time_of_failures
+from mbtool.troubles.failed_shares import time_of_failures
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.modbus import Outcome
 from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble

@@ -20,7 +20,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.core.wording import counted, host_of, in_ms
+from mbtool.core.moments import counted, host_of, in_ms
 from mbtool.framing.mbap import PARTS_NS
 from mbtool.modbus import RESPONDED, Outcome, Transport
 from mbtool.troubles.sense import MAX_LINKS, Sense

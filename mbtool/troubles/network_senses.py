@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.troubles.net_gateway import Gateways
 from mbtool.troubles.net_hosts import Hosts
-from mbtool.troubles.net_lossy import LossyPaths
-from mbtool.troubles.net_lost import LostConnections
+from mbtool.troubles.net_lost import LossyPaths, LostConnections
 from mbtool.troubles.net_polls import NetworkPolls
 
 if TYPE_CHECKING:

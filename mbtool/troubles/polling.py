@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from heapq import nlargest
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted, duration, in_ms
+from mbtool.core.moments import counted, duration, in_ms
 from mbtool.ledger.poll_statistics import LONG_NS, PollStatistics
 from mbtool.troubles.trouble import Evidence, Trouble
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import clock_time, counted, day
+from mbtool.core.moments import clock_time, counted, day
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.troubles.words import WORDS, Words

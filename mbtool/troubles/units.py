@@ -11,15 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import counted, in_ms, percent
+from mbtool.core.moments import counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
 from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
-from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
-from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
+from mbtool.troubles.failed_shares import (
+    FEW,
+    FailedShare,
+    are_damaged,
+    missing_share,
+    never_answers,
+    refused_share,
+)
 from mbtool.troubles.refusals import always_refused, joint_refusals
 from mbtool.troubles.slow_units import GRAVE_NS, are_many
 from mbtool.troubles.slower_units import slow_and_slower_units

@@ -28,7 +28,7 @@ from array import array
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import counted, duration
+from mbtool.core.moments import counted, duration
 from mbtool.devices.point_types import PointType
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.adu import Verdict

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
@@ -26,9 +26,9 @@ from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.validation import validate
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.tables import Table
-from mbtool.values.histories import histories_of
 from mbtool.values.judging import Judged, judge
 from mbtool.values.reasons import ValueRole
+from mbtool.values.value_series import histories_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core.wording import counted, duration
+from mbtool.core.moments import counted, duration
 from mbtool.devices.references import write_reference
 from mbtool.ledger.advice import CycleAdvice, Forecast
 from mbtool.modbus import FUNCTIONS

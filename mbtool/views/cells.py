@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices import describe_points, describe_written, finding_text
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, exception_name, short_name, whole_pdu
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from mbtool.core.wording import counted, moment
+from mbtool.core.moments import counted, moment
 from mbtool.devices.checking.rules import Severity
 from mbtool.troubles.broken_rules import where
 from mbtool.views.tables import printable

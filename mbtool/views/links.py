@@ -12,7 +12,7 @@ from __future__ import annotations
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.views.tables import plain, plain_table, printable
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.core.wording import host_of
-from mbtool.views.table_options import TableColumn
+from mbtool.core.moments import host_of
+from mbtool.views.tables import TableColumn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

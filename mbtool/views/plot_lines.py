@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.moments import DAY_NS, SECOND_NS
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import DAY_NS, SECOND_NS, clock_time, day
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 

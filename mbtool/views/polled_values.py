@@ -12,7 +12,7 @@ import io
 from collections import deque
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import clock_time, day
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Group
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices import Access, ByteOrder, PointInstance, PointType, WordOrder, write_reference
 from mbtool.modbus import FUNCTIONS, function_name
 from mbtool.views.tables import plain, plain_table

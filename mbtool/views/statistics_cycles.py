@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted as counted_words
-from mbtool.core.wording import duration, in_ms, in_s
+from mbtool.core.moments import counted as counted_words
+from mbtool.core.moments import duration, in_ms, in_s
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
     StyledLine,
+    counted,
     more_line,
+    poll_text,
     shortened,
     table_lines,
 )
-from mbtool.views.statistics_words import counted, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

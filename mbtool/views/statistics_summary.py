@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted, duration, percent
+from mbtool.core.moments import counted, duration, percent
 from mbtool.ledger.account import MAX_LINKS, MAX_USES
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import units_text
-from mbtool.views.statistics_columns import StyledLine
-from mbtool.views.statistics_words import per_second
+from mbtool.views.statistics_columns import StyledLine, per_second
 from mbtool.views.trouble_lines import trouble_lines
 
 if TYPE_CHECKING:

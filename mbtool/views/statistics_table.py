@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import clock_time, day, duration, in_ms, in_s, percent, plural
+from mbtool.core.moments import clock_time, day, duration, in_ms, in_s, percent, plural
 from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.distribution import Bucket
 from mbtool.ledger.request_tally import RequestTally, merged
@@ -18,14 +18,16 @@ from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
     StyledLine,
+    counted,
     more_line,
+    per_second,
+    poll_text,
     shortened,
     table_lines,
     wrapped,
 )
 from mbtool.views.statistics_cycles import cycle_lines
 from mbtool.views.statistics_summary import summary_lines
-from mbtool.views.statistics_words import counted, per_second, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

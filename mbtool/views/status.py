@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from enum import StrEnum
 
+from msgspec.structs import replace
 from rich.table import Table
 from rich.text import Text
+
+from mbtool.devices import NamedTransaction
+from mbtool.modbus import FUNCTIONS
+from mbtool.views.cells import finding_texts, transaction_text, values_text
 
 
 def printable_json(text: str) -> str:
@@ -35,3 +42,104 @@ def plain_table(*headings: str) -> Table:
     for heading in headings:
         table.add_column(heading, overflow="fold")
     return table
+
+
+# Makes the texts of table rows for transactions that differ only in their values.
+#
+# The text of one of these transactions, the example, is made as for any row, but with the number
+# _MARK as its only value. All the others have the same text before and behind the mark.
+
+_MARK = 1_000_000_007
+"""A number greater than any register, reference or other number in a text, so that it occurs only
+as the mark."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowForm:
+    """The text that the rows of equal requests with equal outcomes share: all but their values."""
+
+    like: NamedTransaction
+    """One of these transactions, as an example."""
+    before: str
+    """The text of a row up to the values; the whole text if it has no values."""
+    behind: str | None
+    """The text of a row behind the values; None if it has no values."""
+    is_bits: bool
+    """True if the values are bits, False if they are registers."""
+    in_hex: bool
+    """True if registers are shown in hexadecimal, as 1234H."""
+
+    @classmethod
+    def of(cls, like: NamedTransaction, *, in_hex: bool) -> RowForm:
+        """Return the form (RowForm) of the transactions that differ from `like` only in their
+        values.
+
+        `like` has no points (named values).
+        """
+        function = FUNCTIONS.get(like.function)
+        is_bits = function is not None and function.table is not None and function.table.is_bits
+        lists = {
+            name: [_MARK] for name in ("request_values", "response_values") if getattr(like, name)
+        }
+        text = transaction_text(replace(like, **lists), in_hex=in_hex)
+        line = "  ! ".join((printable(text), *finding_texts(like)))
+        before, mark, behind = line.partition(values_text([_MARK], bits=is_bits, in_hex=in_hex))
+        return cls(like, before, behind if mark else None, is_bits, in_hex)
+
+    def text(self, values: list[int]) -> str:
+        """Return the text of a transaction with these values, and its findings."""
+        if self.behind is None:
+            return self.before
+        shown = values_text(values, bits=self.is_bits, in_hex=self.in_hex)
+        return f"{self.before}{shown}{self.behind}"
+
+
+# The user's options for the table of transactions.
+
+
+class TimeStyle(StrEnum):
+    """The kind of time that each row of the table shows."""
+
+    UTC = "utc"
+    LOCAL = "local"
+    RELATIVE = "relative"
+    """Each row shows the seconds since the first row."""
+    DELTA = "delta"
+    """Each row shows the seconds since the row before."""
+
+
+class TableColumn(StrEnum):
+    """A column that the user can choose for the table of transactions.
+
+    Behind these columns, each row ends with the text of its request and response.
+    """
+
+    NUMBER = "number"
+    TIME = "time"
+    LATENCY = "latency"
+    LINK = "link"
+    MASTER = "master"
+    SLAVE = "slave"
+    UNIT = "unit"
+    DEVICE = "device"
+    ID = "id"
+    OUTCOME = "outcome"
+    PACKET = "packet"
+    """The numbers of the packets with request and response in the capture file, as in Wireshark."""
+    FILE = "file"
+
+
+@dataclass(frozen=True, slots=True)
+class TableOptions:
+    """The choices of the user on how the table shows transactions."""
+
+    time: TimeStyle = TimeStyle.UTC
+    columns: tuple[TableColumn, ...] = ()
+    """The columns that the user chose; empty for the default columns. The text of a row is always
+    shown."""
+    in_hex: bool = False
+    """True to show values as 1234H, without the names of points (named values)."""
+    wide: bool = False
+    """True to print each row on one line, even if the terminal is narrower."""
+    full: bool = False
+    """True to show all values of a row, on as many lines as they need."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from mbtool.core.wording import clock_time, day
-from mbtool.views.table_options import TimeStyle
+from mbtool.core.moments import clock_time, day
+from mbtool.views.tables import TimeStyle
 
 
 class Times:

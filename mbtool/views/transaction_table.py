@@ -32,8 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from rich.text import Text
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.moments import SECOND_NS
-from mbtool.core.wording import host_of
+from mbtool.core.moments import SECOND_NS, host_of
 from mbtool.modbus import Outcome
 from mbtool.views.cells import (
     ARROW,
@@ -44,9 +43,7 @@ from mbtool.views.cells import (
 )
 from mbtool.views.changed_points import ChangedPoints
 from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
-from mbtool.views.row_forms import RowForm
-from mbtool.views.table_options import TableColumn, TableOptions
-from mbtool.views.tables import printable
+from mbtool.views.tables import RowForm, TableColumn, TableOptions, printable
 from mbtool.views.times import Times
 
 if TYPE_CHECKING:

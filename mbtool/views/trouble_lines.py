@@ -7,7 +7,7 @@ from itertools import product
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices.checking.rules import Severity
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, WireEvent
-from mbtool.core.wording import clock_time, day, in_ms, percent
+from mbtool.core.moments import clock_time, day, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import DirectionBy, Verdict
@@ -18,7 +18,7 @@ from mbtool.watching.adu_parts import adu_parts
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.watch_columns import Spans
-    from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
+    from mbtool.watching.board import TroubleRow, WatchedSlaveRow
     from mbtool.watching.watched_rows import KeptRecord
 
 WHY = {

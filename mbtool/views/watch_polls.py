@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.core.wording import in_ms
+from mbtool.core.moments import in_ms
 from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
@@ -24,7 +24,7 @@ from mbtool.watching.value_formats import ValueFormat, float_text, register_text
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
-    from mbtool.watching.board_rows import PollRow, WatchedPointRow
+    from mbtool.watching.board import PollRow, WatchedPointRow
 
 _MAX_VALUES = 125
 _LEAST_NAME, _LEAST_POINT = 44, 32

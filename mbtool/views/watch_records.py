@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time, host_of, in_ms, percent
+from mbtool.core.moments import clock_time, host_of, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome
@@ -16,7 +16,7 @@ from mbtool.views.watch_words import age, count, in_table_words
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from mbtool.watching.board_rows import RecordRow, TroubleRow, WatchedSlaveRow
+    from mbtool.watching.board import RecordRow, TroubleRow, WatchedSlaveRow
 
 _STYLES = {
     Outcome.EXCEPTION: "red",

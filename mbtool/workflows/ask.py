@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import SerialLink, TcpLink
-from mbtool.core.wording import milliseconds
+from mbtool.core.moments import milliseconds
 from mbtool.decode.connections import skipped_event
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, PointValue, Who, write_reference

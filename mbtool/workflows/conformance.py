@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, LinkError, SerialLink, TcpLink
 from mbtool.core.limits import LAST_UNIT
-from mbtool.core.wording import counted, duration, milliseconds
+from mbtool.core.moments import counted, duration, milliseconds
 from mbtool.master.wire import Heard, TcpWire
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse

@@ -13,13 +13,13 @@ from bisect import insort
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError, WireEvent
-from mbtool.core.wording import moment
+from mbtool.core.moments import moment
 from mbtool.devices.observed_slave import MAX_SAMPLED
 from mbtool.ports.clock import now_ns
 from mbtool.values.finding import Sighting, Wanted, WordsOfSlave, find, find_changed
-from mbtool.values.histories import histories_of
 from mbtool.values.judging import WordHistory
 from mbtool.values.sightings import wanted_of
+from mbtool.values.value_series import histories_of
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
+from mbtool.core.moments import clock_time, day
 from mbtool.core.replacing import replacing
-from mbtool.core.wording import clock_time, day
 from mbtool.logs.creating import demand_unlocked
 from mbtool.logs.opening import check_log_path
 from mbtool.logs.recovery import LogLoss, Recovered, Recovery

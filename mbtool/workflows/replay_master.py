@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import InputError, LinkError, TcpLink, UsageError
-from mbtool.core.moments import SECOND_NS
-from mbtool.core.wording import counted, plural
+from mbtool.core.moments import SECOND_NS, counted, plural
 from mbtool.devices import Difference, DifferenceKind, Span, parse_span, write_reference
 from mbtool.master.connections import ConnectionsMaster
 from mbtool.master.links import open_master

@@ -27,7 +27,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.modbus import Outcome
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.ports.host_names import HostLookup
@@ -35,7 +35,7 @@ from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
-from mbtool.workflows.shared.missing_parts import MissingParts
+from mbtool.workflows.shared.capture_parts import MissingParts
 from mbtool.workflows.shared.recorder import Recorder
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, Direction, UsageError, WireEvent
 from mbtool.core.evidence import Connection, Endpoint, Stamp
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow

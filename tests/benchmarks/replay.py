@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import SerialFormat, SerialLink, Silence, TcpLink
 from mbtool.modbus import mbap_adu
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.child import run_promptly
 from mbtool.workflows.replay_bus import BusOptions, BusRun
 from mbtool.workflows.replay_master import MasterOptions, MasterRun
 from mbtool.workflows.shared.reading import ReadingOptions

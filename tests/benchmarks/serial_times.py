@@ -31,8 +31,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, SerialFormat, SerialLink
+from mbtool.sources.child import run_promptly
 from mbtool.sources.inbox import Inbox
-from mbtool.sources.priority import run_promptly
 from mbtool.sources.serial_capture import SerialSource
 from mbtool.sources.virtual_line import VirtualLine
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.modbus import mbap_adu
-from mbtool.workflows.shared.missing_parts import MissingParts
+from mbtool.workflows.shared.capture_parts import MissingParts
 from mbtool.workflows.shared.recorded import PlayOptions, read_recorded
 from tests.packets.building import Talk, cut, packet, pcap
 

@@ -15,7 +15,7 @@ from mbtool.columns import portions, usual_runs
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import WireEvent
 from mbtool.decode.usual_run import UsualRun
-from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
+from mbtool.views.tables import TableColumn, TableOptions, TimeStyle
 from mbtool.views.transaction_table import TransactionTable
 from tests.columns import both_ways
 from tests.columns.both_ways import blocks_of, damaged, generated, records_of
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from mbtool.decode.decoder import Record
-    from mbtool.views.row_forms import RowForm
+    from mbtool.views.tables import RowForm
 
 MIDNIGHT_NS = 1_767_225_600_000_000_000
 """2026-01-01 00:00 UTC."""

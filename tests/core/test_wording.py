@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core.wording import counted, milliseconds, plural
+from mbtool.core.moments import counted, milliseconds, plural
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.model import Access, Area, FunctionRule, Point, Profile
 from mbtool.devices.naming import Namer
 from mbtool.devices.point_types import PointType
-from mbtool.devices.scale_factors import MAX_SLAVES
+from mbtool.devices.sunspec_map import MAX_SLAVES
 from mbtool.devices.validation import validate
 from mbtool.devices.values import registers_of
 from mbtool.modbus.adu import Transport

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import InputError, UsageError
-from mbtool.devices.toml_file import TomlError, read_toml
+from mbtool.devices.loading import TomlError, read_toml
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mbtool.core.errors import ProfileError
 from mbtool.devices.loading import builtin_profiles, load_profile
-from mbtool.devices.validation_of_characters import validate_characters
+from mbtool.devices.validation import validate_characters
 
 TOUCH = load_profile("idec-ft1a-touch")
 

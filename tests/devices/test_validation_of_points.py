@@ -7,7 +7,7 @@ import pytest
 from mbtool.core.errors import ProfileError
 from mbtool.devices.model import Point
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
-from mbtool.devices.validation_of_points import PartErrors, validate_point
+from mbtool.devices.validation import PartErrors, validate_point
 from mbtool.modbus.tables import Table
 
 HOLDING = Table.HOLDING_REGISTERS

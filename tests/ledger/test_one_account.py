@@ -40,7 +40,7 @@ ACCOUNT = frozenset(
 """The account and its parts."""
 READERS = frozenset(
     (
-        ("watching/board_rows.py", "slave_rows"),
+        ("watching/board.py", "slave_rows"),
         ("troubles/polling.py", "short_connections"),
         ("troubles/net_lost.py", "LostConnections"),
         ("values/draft.py", "_observed_functions"),
@@ -138,5 +138,5 @@ def test_only_polls_and_functions_of_units_have_a_tally() -> None:
         "ledger/poll_statistics.py",
         "ledger/unit_account.py",
         "ledger/request_tally.py",
-        "watching/board_rows.py",  # Of a unit that was not asked.
+        "watching/board.py",  # Of a unit that was not asked.
     }

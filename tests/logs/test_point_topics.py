@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.devices import PointValue
-from mbtool.logs import Rotation, point_topics, read_log
+from mbtool.logs import Rotation, points, read_log
 from mbtool.logs.messages import PointMessage
-from mbtool.logs.point_topics import PointTopics
+from mbtool.logs.points import PointTopics
 from mbtool.logs.rotation import RotatingLog
 from mbtool.logs.schemas import json_schema
 from mbtool.logs.writer import LogWriter
@@ -78,7 +78,7 @@ def test_no_two_points_share_a_topic() -> None:
 
 
 def test_the_number_of_topics_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(point_topics, "MAX_POINT_TOPICS", 2)
+    monkeypatch.setattr(points, "MAX_POINT_TOPICS", 2)
     topics = PointTopics()
     names = [topics.name_of(message(name)) for name in ("a", "b", "c", "a")]
     assert names[2] is None

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus.damaged_answers import DamagedAnswers
+from mbtool.modbus.response import DamagedAnswers
 from tests.ledger.masters import MS, START_NS
 from tests.ledger.requests import request, unanswered
 

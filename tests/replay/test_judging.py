@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
 from mbtool.modbus import Outcome, Table, Transaction
+from mbtool.replay.comparing import MIN_VALUES
 from mbtool.replay.judging import MAX_OUTCOMES, ResponseJudge, Tolerance
 from mbtool.replay.script import Script, Step
-from mbtool.replay.significance import MIN_VALUES
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:

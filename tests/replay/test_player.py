@@ -25,7 +25,7 @@ from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import OnMiss, RecordedSlave
 from mbtool.replay.recording import Recording
 from mbtool.replay.steering import Control
-from mbtool.replay.time_range import TimeRange
+from mbtool.replay.timeline import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:

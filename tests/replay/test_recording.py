@@ -7,7 +7,7 @@ import pytest
 
 from mbtool.modbus import Table, Transport
 from mbtool.replay.recording import RecordedAnswer, Recording
-from mbtool.replay.time_range import TimeRange
+from mbtool.replay.timeline import TimeRange
 from tests.replay.recorded import LATENCY_NS, MS, answered, to_all, unanswered, unasked
 
 HOLDING = Table.HOLDING_REGISTERS

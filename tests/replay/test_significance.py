@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.replay.significance import MIN_VALUES, rank_sum, same_share
+from mbtool.replay.comparing import MIN_VALUES, rank_sum, same_share
 
 LATENCIES = st.lists(st.integers(0, 10**6), min_size=MIN_VALUES, max_size=60)
 

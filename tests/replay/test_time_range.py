@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.replay.time_range import TimeRange
+from mbtool.replay.timeline import TimeRange
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 
 from mbtool.core import Direction
-from mbtool.serial_line.plausibility import is_counted, is_odd_request, is_odd_response, is_padded
+from mbtool.serial_line.costs import is_counted, is_odd_request, is_odd_response, is_padded
 from tests.strategies import Message, messages
 
 

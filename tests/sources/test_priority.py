@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from mbtool.sources import priority
+from mbtool.sources import child
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
 
 ASK = """
 import os, threading
-from mbtool.sources.priority import run_promptly
+from mbtool.sources.child import run_promptly
 run_promptly()
 policies = [os.sched_getscheduler(0)]
 thread = threading.Thread(target=lambda: policies.append(os.sched_getscheduler(0)))
@@ -37,5 +37,5 @@ def test_what_is_not_permitted_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     before = os.sched_getscheduler(0)
-    priority.run_promptly()
+    child.run_promptly()
     assert os.sched_getscheduler(0) == before

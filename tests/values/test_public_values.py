@@ -11,9 +11,9 @@ import pytest
 from mbtool.core import parse_line
 from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.values.draft import draft_profile
-from mbtool.values.histories import histories_of
 from mbtool.values.judging import judge
 from mbtool.values.sightings import parse_seen, wanted_of
+from mbtool.values.value_series import histories_of
 from mbtool.values.word_readings import Order
 from mbtool.workflows.find import Finder
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves

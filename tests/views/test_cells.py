@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import clock_time, day
 from mbtool.devices import PointValue, load_profile
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, function_name
 from mbtool.views.cells import (

@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.ledger.statistics_report import report, unit_tallies
 from mbtool.modbus import Outcome
-from mbtool.watching.board_rows import slave_rows
+from mbtool.watching.board import slave_rows
 from mbtool.watching.watched import Watched
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.report import ReportRun

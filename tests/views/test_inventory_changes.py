@@ -7,7 +7,7 @@ import io
 from rich.console import Console
 
 from mbtool.ledger.baseline import ChangeKind, InventoryChange
-from mbtool.views.inventory_changes import print_changes
+from mbtool.views.inventory_table import print_changes
 
 CHANGES = [
     InventoryChange(kind=ChangeKind.HOST, host="10.0.0.7", port=502, unit=1, text="asked by X"),

@@ -12,11 +12,10 @@ from rich.console import Console
 
 from mbtool.ledger.baseline import changes
 from mbtool.modbus import mbap_adu
-from mbtool.views.inventory_changes import print_changes
 from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
 from mbtool.views.inventory_documents import changes_csv, inventory_csv, inventory_json
 from mbtool.views.inventory_graph import inventory_dot
-from mbtool.views.inventory_table import print_inventory
+from mbtool.views.inventory_table import print_changes, print_inventory
 from tests.ledger.plant import asked, inventory_of, plant
 from tests.views.test_inventory_graph import statements
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.core.wording import duration, in_ms, in_s, percent
-from mbtool.views.statistics_words import per_second
+from mbtool.core.moments import duration, in_ms, in_s, percent
+from mbtool.views.statistics_columns import per_second
 
 MS, S = 1e6, 1e9
 

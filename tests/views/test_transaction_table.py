@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport
 from mbtool.views.place_columns import FEW_ROWS
-from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
+from mbtool.views.tables import TableColumn, TableOptions, TimeStyle
 from mbtool.views.transaction_table import SAMPLE, TransactionTable
 from tests.logs.samples import transaction, transactions
 

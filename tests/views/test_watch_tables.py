@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time
+from mbtool.core.moments import clock_time
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
 from mbtool.views.watch_columns import (
@@ -29,8 +29,14 @@ from mbtool.views.watch_records import (
     fitted_record,
     slave_state,
 )
-from mbtool.watching.board import Board
-from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
+from mbtool.watching.board import (
+    Board,
+    point_rows,
+    poll_rows,
+    record_rows,
+    slave_rows,
+    trouble_rows,
+)
 from mbtool.watching.value_formats import ValueFormat
 from mbtool.watching.watched_rows import kept_record
 from tests.ledger.masters import MS, START_NS

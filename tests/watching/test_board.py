@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Any
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Verdict
-from mbtool.modbus.damaged_answers import MAX_FRAMES
+from mbtool.modbus.response import MAX_FRAMES
 from mbtool.watching import board as limits
-from mbtool.watching.board import Board
-from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
+from mbtool.watching.board import (
+    Board,
+    point_rows,
+    poll_rows,
+    record_rows,
+    slave_rows,
+    trouble_rows,
+)
 from mbtool.watching.watched_rows import kept_record
 from tests.ledger.masters import MS, START_NS
 from tests.ledger.requests import LINE, request, unanswered

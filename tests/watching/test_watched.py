@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.watching import watched as limits
-from mbtool.watching.board_rows import poll_rows, record_rows, slave_rows
+from mbtool.watching.board import poll_rows, record_rows, slave_rows
 from mbtool.watching.watched import Watched
 from tests.ledger.masters import MS, START_NS
 from tests.ledger.requests import LINE, request, unanswered

@@ -21,7 +21,7 @@ from mbtool.core import (
 from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation
 from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
-from mbtool.modbus.damaged_answers import DamagedAnswers
+from mbtool.modbus.response import DamagedAnswers
 from mbtool.query.where import parse_where
 from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.pcapng_output import Converted

@@ -16,9 +16,8 @@ from textual.widgets import Static
 
 from mbtool.cli import exit_codes
 from mbtool.cli.watching.live_table import LiveTable
-from mbtool.cli.watching.one_line import OneLine
 from mbtool.cli.watching.prompt import PromptLine
-from mbtool.cli.watching.spans import is_plain, style_of, text_of
+from mbtool.cli.watching.spans import OneLine, is_plain, style_of, text_of
 from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
 from mbtool.cli.watching.watch_settings import load_settings, save_settings
 from mbtool.cli.watching.watch_views import VIEWS
@@ -27,7 +26,7 @@ from mbtool.views.trouble_lines import watch_text
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
-from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
+from mbtool.watching.board import TroubleRow, WatchedSlaveRow
 from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:

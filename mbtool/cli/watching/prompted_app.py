@@ -7,8 +7,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.cli.watching.drawn_app import DrawnApp
-from mbtool.cli.watching.finding import find_row, hex_bytes
-from mbtool.cli.watching.prompt import Asking, PromptLine, read_filter, why_wrong
+from mbtool.cli.watching.prompt import (
+    Asking,
+    PromptLine,
+    find_row,
+    hex_bytes,
+    read_filter,
+    why_wrong,
+)
 from mbtool.core import MbtoolError, UsageError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.views.tables import printable
 from mbtool.views.watch_columns import cut_spans
 from mbtool.workflows.watch import FileFeed

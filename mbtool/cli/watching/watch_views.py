@@ -12,8 +12,8 @@ from mbtool.views.statistics_table import LEAST_OF_HISTOGRAM, statistics_lines
 from mbtool.views.watch_columns import WatchColumn
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
-from mbtool.watching.board import Board
-from mbtool.watching.board_rows import (
+from mbtool.watching.board import (
+    Board,
     RecordRows,
     point_rows,
     poll_rows,

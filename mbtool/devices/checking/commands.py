@@ -21,10 +21,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import packets_of, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.masters import Write
 from mbtool.devices.checking.security_cases import host_of, master_text, place_text
-from mbtool.devices.checking.sliding_window import SlidingWindow
+from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.adu import Verdict
 

@@ -2,7 +2,7 @@
 
 # The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
 # request that was pending when it came, which is known when its transaction ends without a response
-# (modbus/damaged_answers.py). Until then the frame waits. On a serial line, the next transaction
+# (modbus/response.py). Until then the frame waits. On a serial line, the next transaction
 # that begins after it shows that it answers none. On TCP it goes on waiting, because a request
 # without a response may end long after later ones (TIMEOUT_NS in decode/network_pairing.py).
 #
@@ -14,9 +14,9 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import event_finding, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
-from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
+from mbtool.modbus.response import MAX_FRAMES, DamagedAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

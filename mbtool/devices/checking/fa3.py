@@ -36,10 +36,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import ConnectionEnd, EventKind, WireEvent
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.devices.checking.connections import foreign_text, is_foreign_message
 from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.identity import answer_word
 from mbtool.devices.model import BehaviourName

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, SerialFormat, Silence, WireEvent
-from mbtool.core.wording import counted, milliseconds
+from mbtool.core.moments import counted, milliseconds
 from mbtool.devices.checking.finding import Finding, event_finding, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.silences import LineSilences, silence_before
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict

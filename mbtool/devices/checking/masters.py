@@ -26,10 +26,9 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.checking.finding import packets_of, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.security_cases import Packets, host_of, is_identification
 from mbtool.devices.checking.security_limits import SecurityLimit
-from mbtool.devices.checking.sliding_window import SlidingWindow
+from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED

@@ -23,10 +23,10 @@ from operator import sub
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import host_of, milliseconds
+from mbtool.core.moments import host_of, milliseconds
 from mbtool.devices.checking.finding import Finding, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.quiet_run import QuietPoll
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 

@@ -28,9 +28,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.security_cases import Packets
-from mbtool.devices.checking.sliding_window import SlidingWindow
+from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, transaction_finding
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
 from mbtool.devices.named_transaction import NamedTransaction

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbtool.core import UsageError
-from mbtool.devices.toml_file import read_toml
+from mbtool.devices.loading import read_toml
 from mbtool.modbus.tables import Table
 from mbtool.slave.device.signals import Ramp, Signal, Sine, Steps, Walk
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets

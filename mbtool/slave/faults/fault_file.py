@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from mbtool.core import UsageError
 from mbtool.core.moments import SECOND_NS
 from mbtool.devices import parse_span
-from mbtool.devices.toml_file import read_toml
+from mbtool.devices.loading import read_toml
 from mbtool.modbus.adu import MAX_TCP_ADU
 from mbtool.slave.faults.faults import Fault, FaultCondition, FaultKind
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import host_of
+from mbtool.core.moments import host_of
 from mbtool.ledger.account import MAX_POLLS
 from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
 from mbtool.troubles.polling import PAUSE_NS

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted, percent
+from mbtool.core.moments import counted, percent
 from mbtool.ledger.inventory_rows import iso_time
 from mbtool.views.report.page import asset, csp_hash
 from mbtool.views.tables import printable

@@ -23,7 +23,7 @@ from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.devices import finding_text
 from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
-from mbtool.modbus.damaged_answers import DamagedAnswers
+from mbtool.modbus.response import DamagedAnswers
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.packets.tcp_ends import TcpEnd, TcpEnds, end_of
 from mbtool.packets.usb import USB_LINK_TYPES

@@ -31,7 +31,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.link_spec import MODBUS_PORT
-from mbtool.core.wording import counted
+from mbtool.core.moments import counted
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
 from mbtool.logs import LogReader
@@ -53,12 +53,11 @@ from mbtool.sources.files import (
     open_capture,
     place_of,
 )
-from mbtool.workflows.shared.capture_parts import Part, Seam
+from mbtool.workflows.shared.capture_parts import MissingParts, Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
 from mbtool.workflows.shared.file_results import FileResults
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
-from mbtool.workflows.shared.missing_parts import MissingParts
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.undecoded_logs import LogRemarks, heard
 

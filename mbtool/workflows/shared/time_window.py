@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
-from mbtool.core.moments import TimePoint, parse_moment
-from mbtool.core.wording import clock_time, day
+from mbtool.core.moments import TimePoint, clock_time, day, parse_moment
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
-from mbtool.core.wording import clock_time, counted, day
+from mbtool.core.moments import clock_time, counted, day
 from mbtool.logs.links import SPEC
 from mbtool.logs.undecoded import (
     MAX_LOOKED_THROUGH,

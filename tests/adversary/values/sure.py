@@ -13,8 +13,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, parse_line
-from mbtool.values.histories import histories_of
 from mbtool.values.judging import judge
+from mbtool.values.value_series import histories_of
 from mbtool.values.word_readings import numbers_in
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 from mbtool.workflows.shared.reading import Reading, ReadingOptions

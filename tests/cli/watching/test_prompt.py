@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.cli.watching.finding import hex_bytes
-from mbtool.cli.watching.prompt import read_filter, why_wrong
+from mbtool.cli.watching.prompt import hex_bytes, read_filter, why_wrong
 from mbtool.core import UsageError
 
 

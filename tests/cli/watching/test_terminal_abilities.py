@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from mbtool.cli.watching import terminal_abilities
-from mbtool.cli.watching.terminal_abilities import TerminalAbilities, prepare_terminal
+from mbtool.cli.watching import terminal_output
+from mbtool.cli.watching.terminal_output import TerminalAbilities, prepare_terminal
 from mbtool.core import UsageError
 
 
@@ -19,7 +19,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def given(monkeypatch: pytest.MonkeyPatch, abilities: TerminalAbilities) -> None:
-    monkeypatch.setattr(terminal_abilities, "terminal_abilities", lambda: abilities)
+    monkeypatch.setattr(terminal_output, "terminal_abilities", lambda: abilities)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def given(monkeypatch: pytest.MonkeyPatch, abilities: TerminalAbilities) -> None
 def test_terminfo_says_what_a_terminal_can_do(term: str, abilities: tuple[bool, bool]) -> None:
     pytest.importorskip("curses")
     program = (
-        "from mbtool.cli.watching.terminal_abilities import terminal_abilities\n"
+        "from mbtool.cli.watching.terminal_output import terminal_abilities\n"
         "print(tuple(terminal_abilities()))"
     )
     ran = subprocess.run(

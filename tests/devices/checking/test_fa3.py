@@ -7,7 +7,7 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
-from mbtool.devices.checking.lru_dict import MAX_ENTRIES
+from mbtool.devices.checking.sliding_window import MAX_ENTRIES
 from mbtool.devices.loading import load_profile
 from mbtool.devices.named_transaction import NamedTransaction
 from tests.devices.checking.talk import MASTER, event, opened, transaction

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.sliding_window import LruDict
 
 
 def test_a_missing_entry_is_made_once() -> None:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.devices.checking.responses import MAX_PENDING, ResponseRules
+from mbtool.devices.checking.sliding_window import MAX_ENTRIES
 from mbtool.modbus.adu import Transport, Verdict
 from tests.devices.checking.talk import (
     MASTER,

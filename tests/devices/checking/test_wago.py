@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.devices.checking.lru_dict import MAX_ENTRIES
+from mbtool.devices.checking.sliding_window import MAX_ENTRIES
 from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.devices.loading import load_profile
 from tests.devices.checking.talk import transaction

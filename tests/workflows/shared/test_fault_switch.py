@@ -7,7 +7,7 @@ import pytest
 from mbtool.core import TcpLink, UsageError, parse_link
 from mbtool.devices import load_profile
 from mbtool.modbus import Response
-from mbtool.workflows.shared.fault_switch import FaultSwitch
+from mbtool.workflows.shared.faults import FaultSwitch
 
 READ = bytes.fromhex("03 0000 0001")  # read holding registers, address 0, quantity 1
 ANSWER = bytes.fromhex("03 02 1234")
