@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 from msgspec.structs import replace
@@ -75,6 +75,10 @@ FITTING_RESPONSE = Classification(Direction.RESPONSE, DirectionBy.PENDING, 1.0)
 
 class BusModel:
     """Classifies each frame of a line, and follows the bus state."""
+
+    holds_first_frame: ClassVar[bool] = True
+    """True if the first frame of a line may wait up to a second for the next one, as its direction
+    is in doubt until then."""
 
     def __init__(self, *, timed: bool = True, response_timeout_ns: int | None = None) -> None:
         """`timed` is False if the bytes have no known times, as in a raw file.

@@ -244,7 +244,8 @@ class RtuSplitter:
 
     def _hear_silence(self, events: list[Adu | Skipped], silence_ns: int) -> None:
         """Decide what the buffered bytes are; an incomplete frame waits if the silence is short."""
-        if self._is_first_alone() and silence_ns < HOLD_NS:
+        is_held = self._model.holds_first_frame and silence_ns < HOLD_NS
+        if is_held and self._is_first_alone():
             return
         if len(self._data) > self._decided_size:
             self._silence_count += 1

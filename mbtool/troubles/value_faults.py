@@ -221,6 +221,8 @@ class ValueFaults(Sense):
 
     def _movements(self, key: _Key, poll: _FollowedAnswers) -> Movements | None:
         """Return the figures of all answers of a poll; None if nothing is known of its values."""
+        if poll.movements is None and not poll.is_left_out and len(poll.times) < LEARN:
+            return None  # So a small capture does without numpy, which takes long to load.
         from mbtool.values.movements import Movements
 
         rows = len(poll.times)
@@ -377,6 +379,8 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
     if movements.changes[place] < MOVES or _levels(movements, place) < LEVELS:
         return False
     away = max(low - unset.number, unset.number - high)
+    if unset.number == (1 << 16 * movements.values[place].reading.words) - 1:
+        away = min(away, low + 1)  # A number near 0 that falls to -1 looks the same.
     if not away <= FAR * (high - low):  # Of NaN, too, this is true.
         return True
     # Two steps may be larger than usual, as the number went on meanwhile.

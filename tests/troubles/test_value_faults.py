@@ -125,6 +125,9 @@ def test_a_word_that_stands_for_no_value_is_told_unless_the_profile_knows_it(
     assert [code for code, _ in codes([lacking, noise(2)], tmp_path)] == ["VALUE-NONE"]
     assert codes([lacking, noise(2)], tmp_path, point(no_value=0xFFFF)) == []
     assert codes([noise(1, 2, 3), noise(2)], tmp_path) == [], "-1 is a number beside 0 and 1"
+    fallen = [(number - 500) % 65536 for number in noise(1, 512, 4)]
+    fallen[150] = 0xFFFF
+    assert codes([fallen, noise(2)], tmp_path) == [], "a number near 0 may fall to -1 once"
 
 
 def test_nan_among_floats_is_no_value(tmp_path: Path) -> None:

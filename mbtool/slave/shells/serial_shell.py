@@ -207,6 +207,8 @@ class _RequestsOnlyModel(BusModel):
     frame for another unit gets no response here, so it does not matter how it is read.
     """
 
+    holds_first_frame = False
+
     def classify(
         self, unit: int, pdu: bytes, at_ns: int, roles: Sequence[Direction] = ()
     ) -> Classification:

@@ -13,23 +13,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import serial
 
-from mbtool.core import LinkError, SerialFormat, SerialLink, UsageError
+from mbtool.core import Direction, LinkError, SerialFormat, SerialLink, UsageError
 from mbtool.devices import load_profile
-from mbtool.modbus import Response, Table, ascii_adu, rtu_adu
+from mbtool.modbus import Adu, Response, Table, ascii_adu, rtu_adu
 from mbtool.modbus.response import Distortion
 from mbtool.ports.serial_opening import port_in_use
+from mbtool.serial_line import RtuSplitter
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import SerialSlave
-from mbtool.slave.shells.serial_shell import MAX_PENDING
+from mbtool.slave.shells.serial_shell import MAX_PENDING, _RequestsOnlyModel
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
-
-    from mbtool.modbus import Adu
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="a virtual line needs Linux or macOS"
@@ -359,3 +358,11 @@ def _mbpoll(
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return [row.split("\t")[-1].strip() for row in done.stdout.splitlines() if row.startswith("[")]
+
+
+def test_the_first_write_of_a_line_is_a_request_right_after_the_silence_behind_it() -> None:
+    splitter = RtuSplitter(FAST, _RequestsOnlyModel())
+    splitter.feed(rtu_adu(1, WRITE), 0)
+    (adu,) = splitter.advance(2 * FAST.t3_5_ns)
+    assert isinstance(adu, Adu)
+    assert adu.direction is Direction.REQUEST
