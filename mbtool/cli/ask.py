@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.cli.ask_options import AskedSlave
-    from mbtool.views.tables import TableOptions
+    from mbtool.views.table_options import TableOptions
 
 
 @takes_groups

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec, TargetTls
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.master.links import MasterLink
-    from mbtool.views.tables import TableOptions
+    from mbtool.views.table_options import TableOptions
     from mbtool.workflows.ask import Asker
     from mbtool.workflows.shared.questions import Wording
 

@@ -125,7 +125,7 @@ def _lines(_: str) -> Iterable[str]:
 
 
 def _columns(incomplete: str) -> Iterable[str]:
-    from mbtool.views.tables import TableColumn
+    from mbtool.views.table_options import TableColumn
 
     return _behind_commas(incomplete, TableColumn)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
-from mbtool.views.tables import TableColumn, TableOptions, TimeStyle
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

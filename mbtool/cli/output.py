@@ -18,7 +18,7 @@ from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
 from mbtool.cli.tally import CONNECTION_EVENTS, Tally
 from mbtool.core import InputError, MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.core.errors import reason_unwritten
-from mbtool.views.tables import TableOptions
+from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.decode.usual_run import UsualRun
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.views.tables import RowForm, TableOptions
+    from mbtool.views.table_options import TableOptions
+    from mbtool.views.tables import RowForm
 
     ProfileFor = Callable[[NamedTransaction], Profile | None]
 

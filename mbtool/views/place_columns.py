@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
 from mbtool.core.moments import host_of
-from mbtool.views.tables import TableColumn
+from mbtool.views.table_options import TableColumn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from mbtool.core.moments import clock_time, day
-from mbtool.views.tables import TimeStyle
+from mbtool.views.table_options import TimeStyle
 
 
 class Times:

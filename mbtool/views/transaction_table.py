@@ -43,7 +43,8 @@ from mbtool.views.cells import (
 )
 from mbtool.views.changed_points import ChangedPoints
 from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
-from mbtool.views.tables import RowForm, TableColumn, TableOptions, printable
+from mbtool.views.table_options import TableColumn, TableOptions
+from mbtool.views.tables import RowForm, printable
 from mbtool.views.times import Times
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from mbtool.columns import portions, usual_runs
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import WireEvent
 from mbtool.decode.usual_run import UsualRun
-from mbtool.views.tables import TableColumn, TableOptions, TimeStyle
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.transaction_table import TransactionTable
 from tests.columns import both_ways
 from tests.columns.both_ways import blocks_of, damaged, generated, records_of

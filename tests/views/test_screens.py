@@ -10,7 +10,7 @@ from rich.console import Console
 
 from mbtool.core import WireEvent
 from mbtool.devices.assignment import Assignments, parse_assignment
-from mbtool.views.tables import TableOptions
+from mbtool.views.table_options import TableOptions
 from mbtool.views.transaction_table import TransactionTable
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.screens import SHOWN

@@ -15,7 +15,7 @@ from mbtool.core.moments import host_of
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport
 from mbtool.views.place_columns import FEW_ROWS
-from mbtool.views.tables import TableColumn, TableOptions, TimeStyle
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.transaction_table import SAMPLE, TransactionTable
 from tests.logs.samples import transaction, transactions
 
