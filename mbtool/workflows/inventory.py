@@ -17,7 +17,7 @@ from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import inventory
 from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.files import shown_name
-from mbtool.sources.local_interfaces import maker
+from mbtool.sources.makers import maker
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import ReadingOptions

@@ -18,7 +18,7 @@ from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.ledger.unit_account import UnitKey
 from mbtool.ports.clock import now_ns
 from mbtool.sources.files import shown_name
-from mbtool.sources.local_interfaces import maker
+from mbtool.sources.makers import maker
 from mbtool.troubles.broken_rules import Summaries
 from mbtool.troubles.polling import LATE_NS, late_units
 from mbtool.values.guessed_series import with_guesses

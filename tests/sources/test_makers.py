@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.sources import local_interfaces
-from mbtool.sources.local_interfaces import LOCAL, maker
+from mbtool.sources import makers
+from mbtool.sources.makers import LOCAL, maker
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_an_address_has_the_maker_of_its_block(mac: str, name: str | None) -> No
 
 
 def test_without_the_list_nobody_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local_interfaces, "_list", lambda: "")
-    local_interfaces._maker_of.cache_clear()
+    monkeypatch.setattr(makers, "_list", lambda: "")
+    makers._maker_of.cache_clear()
     assert maker("00:30:de:11:22:33") is None
-    local_interfaces._maker_of.cache_clear()
+    makers._maker_of.cache_clear()
