@@ -13,10 +13,8 @@
 from __future__ import annotations
 
 import os
-import re
 import socket
 import sys
-from functools import cache, lru_cache
 from pathlib import Path
 
 from mbtool.core.local_ports import LocalInterface, PortTrouble
