@@ -229,7 +229,8 @@ def test_a_dead_unit_is_silent_and_the_others_are_well(
         stack.enter_context(heard(line.link(2), log))
         failed = ask(line.ports[0], [1, 2, 3], 8, timeout=0.2, pause=0.02)
     (trouble,) = (one for one in troubles_of(log) if one["severity"] == "error")
-    assert (trouble["code"], trouble["unit"], trouble["count"]) == ("UNIT-SILENT", 2, failed)
+    assert (trouble["code"], trouble["unit"]) == ("UNIT-SILENT", 2)
+    assert 0 < trouble["count"] <= failed  # On a busy machine requests to others fail as well.
 
 
 @MASTERS
