@@ -59,6 +59,10 @@ def make_folder(folder: Path) -> None:
         sync_folder(one.parent)
 
 
+_NO_SYNC = frozenset((errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF))
+"""So says a file system that cannot sync folders."""
+
+
 def sync_folder(folder: Path) -> None:
     """Sync a folder to the disk, so that new and renamed files in it survive a power cut.
 
@@ -73,7 +77,7 @@ def sync_folder(folder: Path) -> None:
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # So says a file system that cannot sync folders.
+        if error.errno not in _NO_SYNC:
             raise
     finally:
         os.close(descriptor)

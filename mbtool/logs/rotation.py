@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import LogItem
 
+_KEPT = "-kept"
+"""Stands behind the number of a file that `keep_around` keeps."""
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
 _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
@@ -128,6 +130,11 @@ class RotatingLog(ClosesOnExit):
         return self._writer.path
 
     @property
+    def number(self) -> int:
+        """The number of the file that is being written, from 1."""
+        return self._number
+
+    @property
     def size(self) -> int:
         return self._writer.size
 
@@ -176,8 +183,9 @@ class RotatingLog(ClosesOnExit):
     def keep_around(self) -> None:
         """Keep for good the file before the present one, the present one and the next one.
 
-        Each is renamed when it is finished: x-0012.mcap becomes x-0012-kept.mcap. It is no part of
-        the series any more, so no later run removes it. May be called from any thread.
+        Each is renamed when it is finished, x-0012.mcap to x-0012-kept.mcap, and no later run
+        removes it. If the recorder is killed before that, it keeps its name and may be removed. May
+        be called from any thread.
         """
         self._kept = range(self._number - 1, self._number + 2)
 
@@ -198,7 +206,8 @@ class RotatingLog(ClosesOnExit):
         if self._continues and parts:
             self._number = part_number(parts[-1]) + 1
             for part in parts:
-                self._finish(part)
+                if not part.stem.endswith(_KEPT):
+                    self._finish(part)
 
     def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
         """Add metadata to the present file and to each later one."""
@@ -256,12 +265,10 @@ class RotatingLog(ClosesOnExit):
             return False
         self._let_first_go()
         before = self._finished and part_number(self._finished[-1]) in self._kept
-        for one in ([self._finished.pop()] if before else []) + [path]:
-            kept = one.with_name(f"{one.stem}-kept{one.suffix}")
-            with suppress(OSError):  # Its name stays, and it is not removed.
-                if not kept.exists():
-                    one.rename(kept)
-        sync_folder(path.parent)
+        with suppress(OSError):  # Its name stays; this run does not remove it.
+            for one in ([self._finished.pop()] if before else []) + [path]:
+                one.rename(one.with_name(f"{one.stem}{_KEPT}{one.suffix}"))
+            sync_folder(path.parent)
         return True
 
     def _make_room(self) -> bool:
@@ -297,8 +304,12 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """The existing files of a log whose path the user gave as `path`, in the order of numbers."""
-    numbered = re.compile(rf"{re.escape(path.stem)}-\d{{4,9}}{re.escape(path.suffix)}", re.ASCII)
+    """The existing files of a log whose path the user gave as `path`, in the order of numbers.
+
+    Those that are kept around a trouble are among them.
+    """
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    numbered = re.compile(rf"{stem}-\d{{4,9}}({_KEPT})?{suffix}", re.ASCII)
     try:
         names = os.listdir(path.parent)
     except OSError:
@@ -318,4 +329,4 @@ def with_parts(paths: Iterable[str]) -> list[str]:
 
 def part_number(part: Path) -> int:
     """The number in the name of one file of a rotated log."""
-    return int(part.stem.rpartition("-")[2])
+    return int(part.stem.removesuffix(_KEPT).rpartition("-")[2])

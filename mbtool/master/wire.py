@@ -262,10 +262,14 @@ class TcpWire(Wire):
             if hasattr(socket, name):
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._socket.settimeout(silent_ns / SECOND_NS)
+        end_ns = time.monotonic_ns() + silent_ns
         try:
-            while self._socket.recv(READ_BYTES):
-                pass
+            while (rest_ns := end_ns - time.monotonic_ns()) > 0:
+                self._socket.settimeout(rest_ns / SECOND_NS)
+                if not self._socket.recv(READ_BYTES):
+                    break
+            else:
+                return True
         except TimeoutError as error:
             if error.errno != ETIMEDOUT:
                 return True

@@ -222,7 +222,8 @@ class MqttPublisher:
         self._was_told = False
         with self._changed:
             for topic, payload in self._retained.items():
-                self._waiting.setdefault(topic, (payload, True))
+                if len(self._waiting) < MAX_WAITING:
+                    self._waiting.setdefault(topic, (payload, True))
             self._changed.notify()
         self._is_connected.set()
 

@@ -179,7 +179,7 @@ class ValueFaults(Sense):
         poll = self._polls.get(key)
         if poll is None:
             poll = self._new_poll(key)
-            if one.device is not None:
+            if one.device is not None and key in self._polls:
                 self._like[key] = one
         if not poll.is_left_out:
             poll.times.append(one.start_ns)

@@ -407,11 +407,11 @@ class Conformance:
             judged += is_made
             if lasting or (is_made and is_right) or judged == _TRIES:
                 break
-        problem = ""
+        problem = "" if judged else "this machine could not make the pause exactly; not judged"
         if is_made and not is_right:
             wanted = _text(b"", self._good) if note is None else "no answer"
             problem = f"expected {wanted}, got {self._shown(heard, self._good)}"
-        is_note = bool(problem) and note is not None and not lasting
+        is_note = bool(problem) and (note is not None or not judged) and not lasting
         texts = (problem, note if is_note else "", lasting)
         told = ": ".join(text for text in texts if text)
         return _result(name, section, told, b"".join(halves), heard, is_note=is_note)

@@ -99,7 +99,7 @@ class LiveOut:
         """Call `create`, and return its log; if it is rotated, files are kept around troubles."""
         log = create()
         if self._kept is not None and isinstance(log, RotatingLog):
-            self._kept.keep = log.keep_around
+            self._kept.log = log
         return log
 
     def look(self, at_ns: int, live: LiveStatistics) -> None:
@@ -169,7 +169,9 @@ class PublishedValues:
 
 
 class KeptFiles:
-    """Keeps the files of a rotated log around each case of a trouble."""
+    """Keeps the files of a rotated log around troubles: where one begins, and where it comes again
+    after a whole file without a case.
+    """
 
     def __init__(self, codes: Sequence[str]) -> None:
         """`codes` are the beginnings of the codes of these troubles.
@@ -179,20 +181,23 @@ class KeptFiles:
         for code in codes:
             _check_code(code, "--keep-around")
         self._codes = tuple(codes)
-        self._counts: dict[Key, int] = {}
-        self.keep: Callable[[], None] = lambda: None
-        """A function that keeps the present file and its neighbours."""
+        self._cases: dict[Key, tuple[int, int]] = {}
+        """How many cases each trouble had, and the number of the file with the last one."""
+        self.log: RotatingLog | None = None
 
     def take(self, troubles: Sequence[Trouble]) -> None:
-        """Keep the present files if a trouble is new or has more cases than before."""
-        is_due = False
+        """Keep the present file and its neighbours if a trouble begins or has come again."""
+        if self.log is None:
+            return
+        number = self.log.number
         for trouble in (each for one in troubles for each in one.all):
             if trouble.code.startswith(self._codes):
                 key = _key_of(trouble)
-                is_due = is_due or trouble.count > self._counts.get(key, 0)
-                self._counts[key] = trouble.count
-        if is_due:
-            self.keep()
+                count, last = self._cases.get(key, (0, -1))
+                if trouble.count > count:
+                    self._cases[key] = trouble.count, number
+                    if last < 0 or number > last + 1:
+                        self.log.keep_around()
 
 
 class TroubleCommands:

@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core import OutputError, UsageError
 from mbtool.logs.reader import LogReader, read_log
-from mbtool.logs.rotation import RotatingLog, Rotation
+from mbtool.logs.rotation import RotatingLog, Rotation, with_parts
 from tests.logs.samples import chunk
 
 if TYPE_CHECKING:
@@ -157,17 +157,19 @@ def test_files_around_a_trouble_are_kept_and_leave_the_series(tmp_path: Path) ->
     assert {*kept} <= {path.name for path in tmp_path.iterdir()}
 
 
-def test_a_run_that_ends_keeps_the_file_of_its_trouble_and_replaces_no_kept_one(
+def test_kept_files_are_read_with_the_others_and_their_numbers_are_not_used_again(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "x-0002-kept.mcap").write_bytes(b"of an earlier run")
     log = RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}, keep=3)
     log.write(chunk(0))
     log.tick(SECOND_NS)
     log.keep_around()
     log.write(chunk(1))
     log.close()
-    names = ["x-0001-kept.mcap", "x-0002-kept.mcap", "x-0002.mcap"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == names
-    assert (tmp_path / "x-0002-kept.mcap").read_bytes() == b"of an earlier run"
-    assert list(read_log(tmp_path / "x-0002.mcap")) == [chunk(1)]
+    kept = [tmp_path / f"x-{number:04}-kept.mcap" for number in (1, 2)]
+    assert with_parts([str(tmp_path / "x.mcap")]) == [str(path) for path in kept]
+    again = RotatingLog(tmp_path / "x.mcap", Rotation(size=1), capture={}, keep=2, continues=True)
+    assert again.number == 3
+    again.keep_around()
+    again.close()
+    assert list(read_log(kept[1])) == [chunk(1)]

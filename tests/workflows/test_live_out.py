@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -13,6 +14,8 @@ from mbtool.workflows.live_out import KeptFiles, TroubleCommands, _id
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mbtool.logs.rotation import RotatingLog
 
 
 @pytest.mark.parametrize(("one", "other"), [("Größe", "Grüße"), ("a b", "a_b"), ("温度", "压力")])
@@ -45,9 +48,11 @@ def test_files_are_kept_for_each_new_case_of_a_trouble() -> None:
     late = Trouble(code="LINE-LATE", link="/dev/a")
     kept: list[int] = []
     files = KeptFiles(["UNIT-"])
-    for look, troubles in enumerate(([late], [missing(1)], [missing(1), late], [], [missing(2)])):
-        files.keep = partial(kept.append, look)
+    looks = ([late], [missing(1)], [missing(2)], [missing(3), late], [missing(3)], [missing(4)])
+    for number, troubles in enumerate(looks, 1):  # A file a look.
+        keep = partial(kept.append, number)
+        files.log = cast("RotatingLog", SimpleNamespace(number=number, keep_around=keep))
         files.take(troubles)
-    assert kept == [1, 4]
+    assert kept == [2, 6]
     with pytest.raises(UsageError, match="--keep-around NOSUCH"):
         KeptFiles(["NOSUCH"])
