@@ -7,7 +7,7 @@
 #
 # A register of the device can hold the scale of a point, as a power of ten (`scale_from`). Values
 # are scaled with the power that the slave gave last, in the same response or an earlier one
-# (scale_factors.py).
+# (sunspec_map.py).
 #
 # Function 17H reads and writes. Its reference has both ranges. Its points are the written ones,
 # with values from the request, and the read ones, with values from the response. Function 16H

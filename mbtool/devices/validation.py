@@ -2,7 +2,7 @@
 
 # Examples of mistakes: areas that end before they begin, or overlap; limits above the standard's;
 # points outside every area, or two points at one address. loading.py checks each key by itself, and
-# validation_of_points.py the keys of each point.
+# below the keys of each point.
 
 from __future__ import annotations
 

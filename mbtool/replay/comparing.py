@@ -25,7 +25,7 @@
 #
 # The significance level of a whole comparison is ALPHA; each test gets ALPHA divided by the number
 # of tests (Bonferroni). A shift of latencies must also be at least of medium size
-# (significance.py), as with thousands of polls even a tiny shift is significant.
+# (below), as with thousands of polls even a tiny shift is significant.
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@
 #
 # Latencies are always recorded, but compared only if the user gives a tolerance. The tolerance is
 # added to each recorded latency. The new latencies differ if they are significantly longer, by the
-# test that `diff` uses (significance.py): a rank test of at least MIN_VALUES latencies, with a
+# test that `diff` uses (comparing.py): a rank test of at least MIN_VALUES latencies, with a
 # shift of at least medium size, at the level ALPHA for all requests together. The 2nd percentile
 # must be longer, too. The reason: on a busy machine, both programs wait for a processor, which
 # lengthens many latencies by several ms, but not all; a slower slave lengthens all. Measured with

@@ -1,4 +1,6 @@
-"""The queue from the live sources to the consumer of chunks and packets."""
+"""The queue from the live sources to the consumer of chunks and packets, and the outbox of a relay,
+which delays what goes into it.
+"""
 
 # The consumer is the recorder (workflows/shared/recorder.py), which passes the items on to the
 # decoder through a second Inbox; without a log the consumer is the decoder itself.
@@ -43,11 +45,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from contextlib import AbstractContextManager
 
-# Delays the chunks and events of a relay by a few ms, so that decoding a request does not delay
-# the response.
-#
-# Without a delay, the consumer would decode a request and write the log just when the response
-# comes; as both run in one interpreter, the relay would have to wait. So the outbox collects items
+# The outbox delays the chunks and events of a relay by a few ms, so that decoding a request does
+# not delay the response. Without a delay, the consumer would decode a request and write the log
+# just when the response comes; as both run in one interpreter, the relay would have to wait. So the
+# outbox collects items
 # and passes them to the inbox together, HOLD_S after the first of them. By then a quick response
 # has been relayed.
 #

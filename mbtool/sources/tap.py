@@ -3,7 +3,7 @@
 # The tap listens at one endpoint (ports/tcp_listener.py), connects to its target for each
 # connection that it accepts, and passes bytes both ways, at once and unchanged (relay.py). It runs
 # in a thread with an event loop of its own. The consumer gets recorded bytes a few ms later, so
-# that decoding does not delay the response (outbox.py).
+# that decoding does not delay the response (inbox.py).
 #
 # One thing differs from a direct connection: the master's connection is accepted before the target
 # accepts the tap's. If the target cannot be reached, the master's connection is reset, and a

@@ -1,6 +1,6 @@
 """Judges units by their accounts: silent, missing, damaged, malformed, refused and slow answers."""
 
-# Limits: failed_shares.py and failure_limits.py say which share of the requests failed in which
+# Limits: failed_shares.py says which share of the requests failed in which
 # time, and if that is a small thing; slow_units.py and slower_units.py, which latency is slow. A
 # unit that never answers has no other trouble. Requests that a unit refuses each time have no
 # beginning.

@@ -153,6 +153,8 @@ class ValueFaults(Sense):
         self._like: dict[_Key, NamedTransaction] = {}
         """For polls of slaves that may have a profile: their first transaction."""
         self._written: set[tuple[str, int, Table, int]] = set()
+        self._much_written: set[tuple[str, int]] = set()
+        """Units of which not all written registers are known, so that nothing is told of them."""
         self._judged = 0
 
     def begin_capture(self) -> None:
@@ -160,6 +162,7 @@ class ValueFaults(Sense):
         self._polls.clear()
         self._like.clear()
         self._written.clear()
+        self._much_written.clear()
         self._judged = 0
 
     def transaction(self, one: NamedTransaction) -> None:
@@ -206,6 +209,8 @@ class ValueFaults(Sense):
     def _note_write(self, link: str, unit: int, table: Table, span: range) -> None:
         if len(self._written) < MAX_WRITTEN:
             self._written.update((link, unit, table, address) for address in span)
+        else:
+            self._much_written.add((link, unit))
 
     def _new_poll(self, key: _Key) -> _FollowedAnswers:
         poll = _FollowedAnswers()
@@ -303,6 +308,8 @@ class ValueFaults(Sense):
             ]
             # A register has one fault; the same one may show in several polls.
             cases.sort(key=lambda one: _CODES.index(one[2].code))
+            if (link, unit) in self._much_written:
+                continue
             taken = {each[2:] for each in self._written if each[:2] == (link, unit)}
             by_code: dict[str, list[tuple[Movements, _Case]]] = {}
             for table, movements, case in cases:

@@ -136,6 +136,7 @@ class Movements:
             [one.reading.type in (PointType.FLOAT32, PointType.FLOAT64) for one in values], np.bool_
         )
 
+    @np.errstate(all="ignore")  # A device may send any number, also the largest of 64 bits.
     def add(self, times_ns: Sequence[int], words: bytes) -> None:
         """Take answers: their times, and their registers one after the other (native order)."""
         times = np.array(times_ns, np.int64)

@@ -13,7 +13,7 @@ from mbtool.ledger.account import Account
 from mbtool.ledger.answered_reads import AnsweredReads
 from mbtool.modbus.tables import Table
 from mbtool.troubles.judge import Judge
-from mbtool.troubles.value_faults import ValueFaults
+from mbtool.troubles.value_faults import MAX_WRITTEN, ValueFaults
 from mbtool.values.followed_values import judged_values
 from mbtool.values.judging import WordHistory
 from mbtool.values.movements import Movements
@@ -279,3 +279,10 @@ def test_figures_of_movements_do_not_depend_on_portions() -> None:
     rng = random.Random(3)
     for _ in range(20):
         assert figures(sorted(rng.sample(range(1, ROWS), 5))) == whole
+
+
+def test_nothing_is_told_of_a_unit_with_more_written_registers_than_are_remembered() -> None:
+    faults = ValueFaults(Assignments())
+    for address in range(MAX_WRITTEN + 1):
+        faults._note_write("line", 1, Table.HOLDING_REGISTERS, range(address, address + 1))
+    assert faults._much_written == {("line", 1)}

@@ -201,7 +201,7 @@ def test_a_unit_that_answers_one_function_of_two_is_tested_to_the_end(
     stack: ExitStack, tmp_path: Path
 ) -> None:
     fault = "kind = 'no-answer', functions = [1, 2]"
-    cases = results(stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, timeout_s=0.2)
+    cases = results(stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, timeout_s=0.05)
     assert len([one for one in cases if one.name.startswith("03 ")]) > 20
     assert len([one for one in cases if "got no answer" in one.problem]) > 40
 

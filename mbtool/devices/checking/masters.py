@@ -15,8 +15,8 @@
 # Hosts are identified by IP address, without port. So nothing is found on serial lines, or between
 # masters that share an address.
 #
-# Memory: for each slave, the MAX_MASTERS hosts that sent last (lru_dict.py); MAX_HOSTS hosts of the
-# first minutes (if the number is reached, there is no SEC-205), and as many later ones.
+# Memory: for each slave, the MAX_MASTERS hosts that sent last (sliding_window.py); MAX_HOSTS
+# hosts of the first minutes (if the number is reached, there is no SEC-205), and as many later ones.
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@
 #
 # Memory: at most MAX_PENDING pending requests (beyond that, the oldest counts as unanswered),
 # MAX_RETRIES responses for each repeated request, and a few numbers for each line or connection
-# (see lru_dict.py).
+# (see sliding_window.py).
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@
 #
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most
-# MAX_ENTRIES scopes (lru_dict.py): the times of recent cases (sliding_window.py), and as many
+# MAX_ENTRIES scopes (sliding_window.py): the times of recent cases (sliding_window.py), and as many
 # things as the rule's limit says. Of each thing, the packets of MAX_PACKETS requests.
 
 from __future__ import annotations
