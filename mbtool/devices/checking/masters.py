@@ -16,7 +16,8 @@
 # masters that share an address.
 #
 # Memory: for each slave, the MAX_MASTERS hosts that sent last (sliding_window.py); MAX_HOSTS
-# hosts of the first minutes (if the number is reached, there is no SEC-205), and as many later ones.
+# hosts of the first minutes (if the number is reached, there is no SEC-205), and as many later
+# ones.
 
 from __future__ import annotations
 
