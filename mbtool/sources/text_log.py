@@ -84,8 +84,8 @@ _DATED = re.compile(rb"\[?\d{4}[-/.]\d\d[-/.]\d\d[ T_,]\d\d:\d\d:\d\d(?:[.,:]\d{
 _SEPARATORS = bytes.maketrans(b",:|;\t_-.\r\f\vXH<", b" " * 11 + b"xh[")
 _HINTS = (b"00 00", b"0x0", b"00000000", b"00  00", b"[00", b"\\", b"00h", b"00   00", b'0  "',
           b"0#00")  # fmt: skip
-"""Where MAY_BE_BYTES is found, one of these is, too, once _SEPARATORS has translated the line; or
-the line ends with a byte, or has several commas or dashes. Looking for them is quick."""
+"""Texts of which a line with bytes has at least one, after _SEPARATORS has translated it, unless it
+ends with a byte or has several commas or dashes. They are found faster than MAY_BE_BYTES."""
 _BEFORE_LAST = b":=>]"
 """A single byte at the end of a line is at its front, or behind one of these."""
 _UNIMPORTANT = re.compile(rb"[0\s]+")
@@ -112,7 +112,7 @@ _UNKNOWN = _Plan(None, ())
 
 
 class _Before(NamedTuple):
-    """What lines of one shape tell of the bytes in the lines behind them."""
+    """The facts that lines of one shape tell about the bytes in later lines."""
 
     has_bytes: bool
     """True if they have bytes enough for a frame, so that their mark is of these."""
@@ -132,7 +132,7 @@ class TextLog:
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
         self._befores: dict[bytes, _Before] = {}
-        """What lines of each shape tell of lines behind them."""
+        """The facts that lines of each shape tell about later lines, by the shape."""
         self._recent: deque[tuple[bytes, bytes]] = deque(maxlen=LOOK_BACK)
         """The last lines, and their shapes."""
         self._last_row: tuple[int, Label] | None = None

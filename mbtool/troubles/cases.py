@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MAX_UNITS = 500
 SLOW_NS = 10_000_000
-"""Of quicker answers (ns) none is kept."""
+"""Answers that took less than this (ns) are not kept."""
 SLOWEST = 20
 _OUTCOMES = {
     "UNIT-SILENT": Outcome.NO_ANSWER,
@@ -61,7 +61,7 @@ class Cases(Sense):
         self._slow: dict[PollKey, list[_SlowAnswer]] = {}
         """By poll, a heap of its slowest answers. Of equally slow ones the first are kept."""
         self._number = 0
-        """How many slow answers were kept so far."""
+        """The number of slow answers that were kept so far."""
         self._damaged: dict[str, list[Evidence]] = {}
         self._opened: dict[tuple[str, str], Evidence] = {}
         """By link and the master's host, the first connection that was opened."""

@@ -57,8 +57,8 @@ cases."""
 PIECES = 4
 """Bytes that are no frame come in at most so many pieces a case, as adapters tear them."""
 CHANCE = 1e-6
-"""What damages a share of all frames explains a unit that never answers only if it would damage all
-of that unit's answers more often than this."""
+"""The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
+damage of the line does not explain why this unit never answers."""
 _BYTES = frozenset(("RTU-201", "RTU-202"))
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}

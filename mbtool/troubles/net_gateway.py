@@ -94,9 +94,9 @@ class _BlockedRequest(NamedTuple):
     of: _Slow
     by: int
     turn_ns: int
-    """When the request that it waited for had its turn."""
+    """The time (ns since 1970) at which the request to `by` had its turn."""
     held_ns: int
-    """How long that request held up the line."""
+    """The time in ns for which the request to `by` held up the line."""
 
 
 class _SlowRequest(NamedTuple):

@@ -55,7 +55,7 @@ PENDING = 64
 
 @dataclass(slots=True)
 class _Path:
-    """What was sent again between one master and one slave."""
+    """The retransmissions between one master and one slave."""
 
     count: int = 0
     pending: list[WireEvent] = field(default_factory=list)

@@ -43,9 +43,10 @@ if TYPE_CHECKING:
 MOST_SHOWN = 100
 """At most this many places are returned for a number."""
 NOWHERE = 1e-5
-"""How probable a number is that is in no register, at most."""
+"""The greatest probability (0 to 1) of seeing a number that is in no register."""
 _NOWHERE_OF_ITS_SIZE = 0.01
-"""The same, as a share of its tolerance: one of many digits matches a register by chance seldom."""
+"""That probability for each unit of the relative tolerance, as a number of many digits seldom
+equals a register by chance."""
 _UNJUDGED = 0.02
 """The share of a reading that the judgement does not favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
@@ -182,7 +183,7 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
 
 
 def _nowhere(one: Wanted) -> float:
-    """How probable what was seen is, if it is in no register."""
+    """The probability (0 to 1) of what was seen if it is in no register."""
     finest = min(
         (seen.tolerance / abs(seen.value) for seen in one.sightings if seen.value), default=1.0
     )
