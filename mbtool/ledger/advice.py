@@ -90,8 +90,7 @@ class Forecast:
     cycle_ns: int
     busy_ns: int
     with_unit_ns: int
-    """The time in ns by which the cycle becomes longer with one more unit, which is asked as those of
-    the list are."""
+    """The time in ns that one more unit, asked as those of the list are, adds to the cycle."""
     at_bauds: tuple[tuple[int, int], ...]
     """Faster baud rates, each with how much shorter it takes: only characters become shorter."""
     waits: bool
