@@ -57,9 +57,11 @@ lint: $(VENV)/installed-test
 collected: $(VENV)/installed-test
 	$(RUN)/pytest --collect-only -qq > /dev/null
 
+# Hundreds of tests wait for other processes, which a busy machine may stop for seconds. What fails is run
+# once more, alone; the output of the first run names it, and it is a fault to mend all the same.
 test: $(VENV)/installed-test
 	$(MAKE) --jobs=2 --output-sync=target lint collected
-	$(RUN)/pytest $(IN_PARALLEL)
+	$(RUN)/pytest $(IN_PARALLEL) || $(RUN)/pytest --last-failed --last-failed-no-failures none
 
 quick: $(VENV)/installed-test
 	$(RUN)/ruff check .

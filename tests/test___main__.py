@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _PROGRAM = """
-import os, sys
+import os, sys, time
 number, place, module, *sys.argv[1:] = sys.argv[1:]
 
 def send():
@@ -25,9 +25,14 @@ def send():
 def send_from_a_string():
     exec("send()")
 
-class Finalized:
+class Object:
     def __del__(self):
         send()
+
+def send_in_a_finalizer():
+    Object()
+    time.sleep(60)  # Ctrl-C is repeated meanwhile and ends this wait.
+    raise SystemExit("Ctrl-C did not end the wait")
 
 class Interrupt:
     # Sends the signal when a module is looked for.
@@ -83,7 +88,7 @@ def test_ctrl_c_in_code_from_a_string_does_not_change_the_exit_code(tmp_path: Pa
 
 
 def test_ctrl_c_that_python_ignores_is_repeated() -> None:
-    assert _interrupted(signal.SIGINT, "mbtool.views.profile", "Finalized") == _LINE
+    assert _interrupted(signal.SIGINT, "mbtool.views.profile", "send_in_a_finalizer") == _LINE
 
 
 def test_without_a_signal_it_runs_the_command() -> None:

@@ -163,9 +163,17 @@ def _interrupt_again(ignored: sys.UnraisableHookArgs) -> None:
     Any other ignored exception is printed.
     """
     if issubclass(ignored.exc_type, KeyboardInterrupt):
-        Timer(_AGAIN_S, signal.raise_signal, [signal.SIGINT]).start()
+        Timer(_AGAIN_S, _interrupt_process).start()
     else:
         sys.__unraisablehook__(ignored)
+
+
+def _interrupt_process() -> None:
+    """Send Ctrl-C to the process, so that it also ends a call in which the main thread waits."""
+    if sys.platform == "win32":  # There, os.kill ends the process.
+        signal.raise_signal(signal.SIGINT)
+    else:
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def _open_standard_descriptors() -> None:
