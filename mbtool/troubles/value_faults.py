@@ -34,7 +34,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.moments import counted, duration
-from mbtool.devices.point_types import PointType
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.adu import Verdict
 from mbtool.troubles.sense import Sense
@@ -509,7 +508,7 @@ def _fallen(movements: Movements, place: int) -> _Case | None:
 def _goes_on_at_zero(value: FollowedValue, step: Move, mean: float) -> bool:
     """True if a counter goes on at 0 behind its last digit."""
     reach = 3 * mean + 1
-    is_float = value.reading.type in (PointType.FLOAT32, PointType.FLOAT64)
+    is_float = value.reading.type.is_float
     return not is_float and any(
         modulus - reach <= step.before < modulus + (step.after >= 1)
         and (step.after - step.before) % modulus <= reach < modulus / 2

@@ -68,7 +68,6 @@ _WHOLE_SCALES = {
 }
 """By power of ten: how frequent a scale of whole numbers is."""
 _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 2, 3)}
-_FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 _UNSEEN_DIGIT = 1.4
 """A register with a digit more than the display shows is less probable by exp of this."""
 _DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
@@ -233,7 +232,7 @@ def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
         for place, idea in enumerate(ideas):
             if any(abs(seen.value - idea.middle) > idea.reach + reach for seen in sightings):
                 continue
-            is_float = idea.reading.type in _FLOATS
+            is_float = idea.reading.type.is_float
             share = (_FLOAT_SCALES if is_float else _WHOLE_SCALES).get(power)
             if share is None:
                 continue
@@ -347,9 +346,9 @@ _READINGS = (
 
 
 def _is_plausible(numbers: Sequence[float], reading: WordReading) -> bool:
-    if reading.type in _FLOATS:
+    if reading.type.is_float:
         return all(math.isfinite(one) and (one == 0 or 1e-6 < abs(one) < 1e12) for one in numbers)
-    if reading.type in (PointType.BCD16, PointType.BCD32):
+    if reading.type.is_bcd:
         return max(numbers) > 9
     return all(abs(one) < 1 << 53 for one in numbers)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, InputError, UsageError, WireEvent
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.devices import NamedTransaction, Namer, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.finding import Finding, event_finding
