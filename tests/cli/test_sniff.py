@@ -212,7 +212,7 @@ def test_an_output_that_cannot_be_written_does_not_end_a_recording(
     path = tmp_path / "a.mcap"
     with (
         open("/dev/full", "w", encoding="utf-8") as full,
-        Program("sniff", bench.tap(), "-w", path, stdout=full) as program,
+        Program("sniff", bench.tap(), "-w", path, stdout=full.fileno()) as program,
     ):
         tap = _tap_of(program)
         _ask(tap, 1)
@@ -232,7 +232,7 @@ def test_an_output_that_cannot_be_written_does_not_end_a_recording(
 def test_an_output_that_cannot_be_written_ends_a_run_without_a_log(bench: Bench) -> None:
     with (
         open("/dev/full", "w", encoding="utf-8") as full,
-        Program("sniff", bench.tap(), stdout=full) as program,
+        Program("sniff", bench.tap(), stdout=full.fileno()) as program,
     ):
         _ask(_tap_of(program), 1)
         told = program.end()
