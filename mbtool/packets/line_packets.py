@@ -46,6 +46,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.packets.made_packets import internet_checksum
 from mbtool.packets.pcap import MAX_CAPTURED
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bo
         ports.reverse()
     size = _UDP.size + len(payload)
     header = [0x45, 0, _IPV4.size + size, number & 0xFFFF, _DONT_FRAGMENT, _TIME_TO_LIVE]
-    checksum = _checksum(_IPV4.pack(*header, _UDP_PROTOCOL, 0, source, destination))
+    checksum = internet_checksum(_IPV4.pack(*header, _UDP_PROTOCOL, 0, source, destination))
     packet = _IPV4.pack(*header, _UDP_PROTOCOL, checksum, source, destination)
     return packet + _UDP.pack(*ports, size, 0) + payload
 
@@ -345,10 +346,3 @@ def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
             yield from packet.chunks
         else:
             yield packet
-
-
-def _checksum(header: bytes) -> int:
-    """Compute the checksum of an IPv4 header whose checksum field is 0 (RFC 791)."""
-    total: int = sum(word for (word,) in struct.iter_unpack(">H", header))
-    total = (total & 0xFFFF) + (total >> 16)
-    return 0xFFFF - ((total + (total >> 16)) & 0xFFFF)

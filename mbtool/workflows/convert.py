@@ -48,6 +48,7 @@ from mbtool.packets.capture_writer import (
 from mbtool.packets.line_packets import (
     OpenReads,
 )
+from mbtool.packets.made_packets import PacketMaker
 from mbtool.packets.tcp_ends import tcp_ends
 from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.evidence_reading import device_of
@@ -316,13 +317,9 @@ class Conversion:
         done = Converted()
         writer: PcapWriter | None = None
         link_type = 0
+        maker = PacketMaker()
         for one in self._shown():
-            if isinstance(one, WirePiece):
-                raise UsageError(
-                    f"{out}: classic pcap cannot hold a serial line or a tap; "
-                    f"name it {PurePath(out).with_suffix('.pcapng')}"
-                )
-            packet = one.packet
+            packet = one.packet if isinstance(one, NumberedPacket) else _made(one, maker, out)
             if writer is None:
                 link_type = packet.link_type
                 writer = PcapWriter(stream, link_type)
@@ -467,6 +464,23 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
         else:
             yield from open_reads.take(one.chunk, one.data, one.reads, is_open=one.is_open)
     yield from open_reads.close()
+
+
+def _made(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
+    """Return a packet with the bytes of a piece. Raises UsageError if they are of a serial line, or
+    if an end of their connection has no address.
+    """
+    key = piece.key
+    why = "a serial line"
+    if key.connection is not None:
+        try:
+            return maker.packet(key.connection, key.direction, piece.data, piece.ts_ns)
+        except ValueError as error:
+            why = f"what was heard between {key.connection.master} and {key.connection.slave}"
+            why = f"{why} ({error})"
+    raise UsageError(
+        f"{out}: classic pcap cannot hold {why}; name it {PurePath(out).with_suffix('.pcapng')}"
+    )
 
 
 def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 
 from mbtool.core import (
@@ -18,7 +20,8 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation
+from mbtool.devices import NamedTransaction
+from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation, transaction_to_jsonl
 from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.response import DamagedAnswers
@@ -207,6 +210,34 @@ def test_where_takes_no_fault_of_others_along_but_the_damaged_answers_of_its_own
 def test_a_serial_line_does_not_fit_into_pcap(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"name it .*x\.pcapng"):
         _convert([CAPTURES / "ft1a-touch-line.mcap"], tmp_path / "x.pcap")
+    assert not (tmp_path / "x.pcap").exists()
+
+
+@pytest.mark.parametrize("name", ["plant.pcap", "fa3-at1m8x-setup.pcap"])
+def test_transactions_of_a_network_become_packets_that_give_them_again(
+    name: str, tmp_path: Path
+) -> None:
+    lines, packets = tmp_path / "x.jsonl", tmp_path / "x.pcap"
+    before = [one for one in _transactions(CAPTURES / name) if isinstance(one, NamedTransaction)]
+    lines.write_bytes(b"".join(transaction_to_jsonl(one) for one in before))
+    done = _convert([lines], packets)
+    after = [one for one in _transactions(packets) if isinstance(one, NamedTransaction)]
+    assert done.packets == sum((one.request_raw is not None) + (one.response_raw is not None)
+                               for one in before)  # fmt: skip
+    unseen = dict.fromkeys(("source_mac", "destination_mac", "response_mac"))
+    seen = [msgspec.structs.replace(one, **unseen) for one in before]
+    assert sorted(after, key=attrgetter("start_ns")) == sorted(seen, key=attrgetter("start_ns"))
+
+
+def test_a_tap_goes_into_pcap_unless_an_end_has_only_a_name(tmp_path: Path) -> None:
+    (one, *_) = _transactions(CAPTURES / "plant.pcap")
+    assert isinstance(one, NamedTransaction)
+    lines = tmp_path / "x.jsonl"
+    lines.write_bytes(
+        transaction_to_jsonl(msgspec.structs.replace(one, destination="plc.example:502"))
+    )
+    with pytest.raises(UsageError, match=r"'plc\.example' .*; name it .*x\.pcapng"):
+        _convert([lines], tmp_path / "x.pcap")
     assert not (tmp_path / "x.pcap").exists()
 
 
