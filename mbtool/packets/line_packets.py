@@ -246,6 +246,25 @@ def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
     return struct.pack(">IIBBH", seconds & 0xFFFFFFFF, ns // 1000, sent, 0, 0) + data
 
 
+def error_packet(event: WireEvent) -> Packet | None:
+    """Return a packet of link type 250 (RTAC_SERIAL) without bytes that tells a framing error, a
+    parity error or a break of a serial line; None for another event.
+    """
+    for code, (kind, message) in _REPORTED.items():
+        is_alike = kind is event.kind is EventKind.LINE_ERROR
+        if is_alike and message.split()[1] in event.message:
+            data = rtac_packet(event.ts_ns, b"", by_master=False)
+            data = data[:_EVENT_AT] + bytes((code,)) + data[_EVENT_AT + 1 :]
+            return Packet(
+                ts_ns=max(event.ts_ns, 0),
+                link=event.link,
+                link_type=RTAC_SERIAL,
+                data=data,
+                original_length=len(data),
+            )
+    return None
+
+
 class OpenReads:
     """Joins the bytes of reads of a port that are spread over several packets."""
 

@@ -26,7 +26,9 @@ from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.response import DamagedAnswers
 from mbtool.query.where import parse_where
+from mbtool.workflows.anonymise import anonymous_conversion
 from mbtool.workflows.convert import Conversion
+from mbtool.workflows.shared.anonymous_packets import AnonymousChoice
 from mbtool.workflows.shared.pcapng_output import Converted
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
@@ -205,6 +207,41 @@ def test_where_takes_no_fault_of_others_along_but_the_damaged_answers_of_its_own
             found.note(one)
         assert sum(found.has(one) for one in records if not isinstance(one, WireEvent)) == damaged
         assert len(records) == 24 + damaged
+
+
+@pytest.mark.parametrize("is_anonymous", [False, True])
+@pytest.mark.parametrize("between", [(), (".pcapng",), (".mcap",), (".mcap", ".pcapng", ".mcap")])
+def test_a_framing_error_of_a_line_stays(
+    between: tuple[str, ...], tmp_path: Path, *, is_anonymous: bool
+) -> None:
+    path = CAPTURES / "findings" / "RTU-203.pcap"
+    for number, suffix in enumerate(between):
+        out = tmp_path / f"{number}{suffix}"
+        window = TimeWindow.parse(None, None)
+        conversion = Conversion([str(path)], ReadingOptions(), window)
+        if is_anonymous:
+            with anonymous_conversion(conversion, b"key", AnonymousChoice()) as copy:
+                copy.write(str(out))
+        else:
+            conversion.write(str(out))
+        path = out
+    records = list(Reading([str(path)], ReadingOptions()).records())
+    errors = [one for one in records if isinstance(one, WireEvent)]
+    assert [(one.kind, one.message) for one in errors] == [
+        (EventKind.LINE_ERROR, "a framing error")
+    ]
+    (first, _) = (one for one in records if isinstance(one, NamedTransaction))
+    assert first.response_ns is not None
+    assert errors[0].link == first.link
+    assert errors[0].ts_ns - first.response_ns == 50_000_000
+
+
+def test_a_part_chosen_by_transactions_has_no_errors_of_the_line(tmp_path: Path) -> None:
+    out = tmp_path / "x.pcapng"
+    _convert([CAPTURES / "findings" / "RTU-203.pcap"], out, where="unit == 1")
+    assert not any(
+        isinstance(one, WireEvent) for one in Reading([str(out)], ReadingOptions()).records()
+    )
 
 
 def test_a_serial_line_does_not_fit_into_pcap(tmp_path: Path) -> None:
