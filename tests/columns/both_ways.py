@@ -227,8 +227,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--captures", type=int, default=1000, help="how many captures to compare")
     parser.add_argument("--first", type=int, default=0, help="the seed of the first one")
-    parser.add_argument(
-    )
     options = parser.parse_args()
     plain = rows = differing = 0
     for number in range(options.first, options.first + options.captures):
