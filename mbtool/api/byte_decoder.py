@@ -16,7 +16,7 @@ from mbtool.core import (
     UsageError,
     parse_line,
 )
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Self
 
 from mbtool.api.arguments import assignments_of, condition_of
 from mbtool.core import WireEvent, parse_link
-from mbtool.core.link_spec import HEARD, MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
+from mbtool.core.link_spec import HEARD
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer

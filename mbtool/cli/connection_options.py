@@ -8,6 +8,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
+from mbtool.core.limits import (
+    CONNECTIONS_PER_SECOND,
+    SLAVE_CONNECTIONS,
+    SLAVE_IDLE_S,
+    TAP_CONNECTIONS,
+    TAP_IDLE_S,
+)
 
 if TYPE_CHECKING:
     from mbtool.ports.tcp_listener import ConnectionLimits
@@ -27,8 +34,9 @@ class ConnectionOptions(OptionGroup):
             "--max-connections",
             metavar="N",
             min=1,
-            help="The most masters connected over TCP at once. [default: 32 to a slave, or as many "
-            "as its device takes; 64 to a tap]",
+            help="The most masters connected over TCP at once. "
+            f"[default: {SLAVE_CONNECTIONS} to a slave, or as many as its device takes; "
+            f"{TAP_CONNECTIONS} to a tap]",
         ),
     ] = None
     max_rate: Annotated[
@@ -37,7 +45,7 @@ class ConnectionOptions(OptionGroup):
             "--max-rate",
             metavar="N",
             min=0.01,
-            help="The most new TCP connections in a second. [default: 100]",
+            help=f"The most new TCP connections in a second. [default: {CONNECTIONS_PER_SECOND:g}]",
         ),
     ] = None
     idle: Annotated[
@@ -47,7 +55,7 @@ class ConnectionOptions(OptionGroup):
             metavar="S",
             min=0.1,
             help="Close a TCP connection without a request, or a tap's without a byte, after so "
-            "many seconds. [default: 600 of a slave, 3600 of a tap]",
+            f"many seconds. [default: {SLAVE_IDLE_S:g} of a slave, {TAP_IDLE_S:g} of a tap]",
         ),
     ] = None
 

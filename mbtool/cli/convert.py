@@ -8,6 +8,7 @@ import typer
 
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
+    FORMATS,
     DeviceOption,
     EndOption,
     EventChoice,
@@ -31,8 +32,8 @@ def convert(
         typer.Argument(
             metavar="FILE",
             help="Captures, logs (.mcap), bytes of a serial line, or .jsonl. The last FILE is "
-            "the one to write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, "
-            ".csv, .parquet or .txt. Several become one, in the order of time; with {device} in "
+            "the one to write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, "
+            f"{', '.join(FORMATS)}. Several become one, in the order of time; with {{device}} in "
             "its name each slave gets a file, with its whole TCP connections.",
         ),
     ],
@@ -85,7 +86,6 @@ def convert(
     from pathlib import PurePath
 
     from mbtool.cli.options import condition
-    from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.progress import with_progress
     from mbtool.core import UsageError
@@ -108,7 +108,7 @@ def convert(
         )
     if topic_per_point and PurePath(out).suffix.lower() != ".mcap":
         raise UsageError("--topic-per-point goes with a log: name the last FILE .mcap")
-    suffixes = (*sorted(CAPTURE_SUFFIXES), *OUTPUT_FORMATS)
+    suffixes = (*sorted(CAPTURE_SUFFIXES), *FORMATS)
     if out != "-" and PurePath(out).suffix.lower() not in suffixes:
         raise UsageError(f"{out}: its suffix names no format; let it end in {', '.join(suffixes)}")
     demand_other_file(paths, out)

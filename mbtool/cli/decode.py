@@ -13,6 +13,7 @@ import typer
 from mbtool.cli.decode_job import JobOptionGroup, is_job, refuse_others, run_job
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
+    FORMATS,
     DeviceOption,
     EndOption,
     EventChoice,
@@ -72,7 +73,7 @@ def decode(
             "--output",
             "-o",
             metavar="OUT",
-            help="Write to a file: .jsonl, .csv, .parquet, .ipal or .txt; with --format parquet "
+            help=f"Write to a file: {', '.join(FORMATS)}; with --format parquet "
             "also into a folder, here or in an object store (s3://...): a file for each capture.",
         ),
     ] = None,
@@ -234,12 +235,11 @@ def _columns(
     `format_` of None is the table, unless the suffix of `output` means another format). If None is
     returned, the caller decodes the transactions one by one.
     """
-    from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.printers import demand_columns
     from mbtool.workflows.shared.reading_choice import column_reading
 
     suffix = os.path.splitext(output or "")[1].lower()
-    match format_ or OUTPUT_FORMATS.get(suffix):
+    match format_ or FORMATS.get(suffix):
         case Format.PARQUET:
             demand_columns()
             return column_reading(files, options, at_least=0)  # pyarrow needs numpy anyway.

@@ -32,7 +32,6 @@ class InventoryFormat(StrEnum):
     JSON = "json"
     CSV = "csv"
     DOT = "dot"
-    CYCLONEDX = "cyclonedx"
 
 
 _SUFFIXES = {
@@ -42,7 +41,6 @@ _SUFFIXES = {
     ".dot": InventoryFormat.DOT,
     ".gv": InventoryFormat.DOT,
 }
-_WITHOUT_CHANGES = (InventoryFormat.DOT, InventoryFormat.CYCLONEDX)
 
 
 @takes_groups
@@ -66,7 +64,7 @@ def inventory(
         InventoryFormat | None,
         typer.Option(
             "--format",
-            help="How to print: dot is for Graphviz, cyclonedx a bill of materials in JSON. "
+            help="How to print: dot is for Graphviz. "
             "[default: table, or what the name of --output says]",
         ),
     ] = None,
@@ -112,7 +110,7 @@ def inventory(
     demand_other_file([*files, *baseline], output)
     path = named_file(output)
     chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
-    if baseline and chosen in _WITHOUT_CHANGES:
+    if baseline and chosen is InventoryFormat.DOT:
         raise UsageError("--baseline goes with --format table, json and csv")
     with left_told(path):
         run = InventoryRun(files, options)
@@ -128,7 +126,7 @@ def inventory(
             if chosen is InventoryFormat.JSON:
                 file.write(_json(run, document, new, __version__))
             else:
-                _write(file, chosen, document, new, __version__, everything=each)
+                _write(file, chosen, document, new, everything=each)
             file.flush()
     say_if_empty(run.reading)
     if document.transactions:
@@ -168,7 +166,6 @@ def _write(
     format_: InventoryFormat,
     document: InventoryDocument,
     new: Sequence[InventoryChange] | None,
-    version: str,
     *,
     everything: bool,
 ) -> None:
@@ -178,7 +175,6 @@ def _write(
     CSV has only the changes. `everything` lets the table show all rows.
     """
     from mbtool.cli.console import PipeConsole
-    from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
     from mbtool.views.inventory_documents import changes_csv, inventory_csv
     from mbtool.views.inventory_graph import inventory_dot
     from mbtool.views.inventory_table import print_changes, print_inventory
@@ -192,8 +188,6 @@ def _write(
             file.write(inventory_csv(document) if new is None else changes_csv(new))
         case InventoryFormat.DOT:
             file.write(inventory_dot(document))
-        case InventoryFormat.CYCLONEDX:
-            file.write(inventory_cyclonedx(document, version))
 
 
 def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None) -> str:

@@ -30,7 +30,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
-    from mbtool.core.link_spec import MODBUS_PORT
+    from mbtool.core.limits import MODBUS_PORT
 
     given = options.tcp_ports()
     if (

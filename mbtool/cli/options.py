@@ -32,6 +32,20 @@ class Format(StrEnum):
     PARQUET = "parquet"
     IPAL = "ipal"
 
+    @property
+    def suffix(self) -> str:
+        """The suffix of files of this form, such as `.csv`."""
+        return ".txt" if self is Format.TABLE else f".{self}"
+
+    @property
+    def takes_events(self) -> bool:
+        """True if wire events can stand between the transactions."""
+        return self in (Format.TABLE, Format.JSONL)
+
+
+FORMATS = {form.suffix: form for form in Format}
+"""The form of each suffix of an output."""
+
 
 class SortKey(StrEnum):
     """The key by which rows are sorted: latency with the slowest first, others least first."""
@@ -177,7 +191,7 @@ class TcpPorts(NamedTuple):
     @property
     def expected(self) -> frozenset[int] | None:
         """The ports on which Modbus is expected, if mbtool looks for it on all ports; else None."""
-        from mbtool.core.link_spec import MODBUS_PORT
+        from mbtool.core.limits import MODBUS_PORT
 
         if not self.any_port:
             return None

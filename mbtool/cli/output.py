@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TextIO
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.options import EventChoice, Format, SortKey
+from mbtool.cli.options import FORMATS, EventChoice, Format, SortKey
 from mbtool.cli.output_file import emptied, is_old, open_file
 from mbtool.cli.output_path import chosen_format, demand_new, named_file
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
@@ -48,14 +48,6 @@ if TYPE_CHECKING:
     ]
 
 _STANDARD_OUTPUT_NAME = "standard output"
-
-OUTPUT_FORMATS = {
-    ".jsonl": Format.JSONL,
-    ".csv": Format.CSV,
-    ".parquet": Format.PARQUET,
-    ".txt": Format.TABLE,
-    ".ipal": Format.IPAL,
-}
 
 
 class RecordOutput:
@@ -257,11 +249,11 @@ def open_output(
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
-    chosen = chosen_format(format_, path, OUTPUT_FORMATS, Format.TABLE)
+    chosen = chosen_format(format_, path, FORMATS, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
         raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")
-    if chosen in (Format.CSV, Format.PARQUET, Format.IPAL) and shown is not EventChoice.NONE:
+    if not chosen.takes_events and shown is not EventChoice.NONE:
         raise UsageError(f"--events goes with table and jsonl; a row of {chosen} is a transaction")
     if chosen is Format.PARQUET:
         if path is None:

@@ -40,7 +40,7 @@ def chosen_format(given: F | None, path: str | None, suffixes: Mapping[str, F], 
     """
     suffix = "" if path is None else Path(path).suffix.lower()
     if given is not None:
-        # SARIF and CycloneDX are JSON, too.
+        # SARIF is JSON, too.
         if suffixes.get(suffix, given) != given and suffix != ".json":
             say(f"{path}: written as {given}, as --format says, though its name ends in {suffix}")
         return given

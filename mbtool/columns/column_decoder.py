@@ -37,7 +37,7 @@ from mbtool.columns.arrays import narrow
 from mbtool.columns.decoded_rows import with_decoded
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
-from mbtool.columns.passed_connections import PassedConnections, pass_whole
+from mbtool.columns.passed_connections import PassedConnections, take_whole_connections
 from mbtool.columns.plain_rows import PlainRows, TransactionArrays
 from mbtool.columns.stretches import find_stretches
 from mbtool.core import WireEvent
@@ -278,7 +278,7 @@ class _BlockPass:
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
-        is_whole = self._pass_whole()
+        is_whole = self._take_whole_connections()
         begins = self._rows.first_packet[self._stretches.bounds[:-1]]
         asked = np.flatnonzero(~is_whole[self._stretch_flows()])
         due = [
@@ -328,14 +328,14 @@ class _BlockPass:
         )
         return self._decoded
 
-    def _pass_whole(self) -> Bools:
+    def _take_whole_connections(self) -> Bools:
         """Read from arrays the connections that lie in the block from SYN to FIN, with nothing
         unusual.
 
         Returns for each flow number True if all segments of the flow were read in this way.
         """
         is_whole = np.zeros(len(self._flows.ends), np.bool_)
-        passed = pass_whole(self._decoder, self._flows, self._headers, self._stretches)
+        passed = take_whole_connections(self._decoder, self._flows, self._headers, self._stretches)
         if passed is not None:
             is_whole[passed.flow] = True
             bounds = self._stretches.bounds

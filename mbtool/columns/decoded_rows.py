@@ -2,8 +2,9 @@
 
 # Pipelined requests, several ADUs in a segment, and polls between a request without response and
 # its retry are decoded packet by packet, but most of the transactions are ordinary: answered reads
-# and writes with nothing noticed about them. As rows of the arrays they are printed, counted and
-# checked together with the others, and do not part them into short runs.
+# and writes with nothing noticed about them. They become rows of the numpy arrays that hold the
+# block's other transactions, so that all rows are printed, counted and checked together. Otherwise
+# each of them would divide the rows before and after it into short runs, which are slow.
 #
 # A transaction becomes a row if an object made of the row would be equal to it, and if the packet
 # of its response also completed it, so that the row has the same place among the results.

@@ -68,7 +68,7 @@ class PassedConnections:
         return closing_event(int(self.closed_ns[number]), self.connections[number], by)
 
 
-def pass_whole(
+def take_whole_connections(
     decoder: Decoder, flows: FlowNumbers, headers: Headers, stretches: Stretches
 ) -> PassedConnections | None:
     """Find the connections that lie in the block from SYN to FIN, and tell the Decoder's

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple, Self
 
+from mbtool.core.limits import MODBUS_PORT
+
 
 class Direction(StrEnum):
     """Says who sent bytes: REQUEST is the master, RESPONSE is a slave.
@@ -63,7 +65,7 @@ class Connection:
     @property
     def link(self) -> str:
         """The link's name: the slave's address, with its port unless that is 502."""
-        return self.slave.host if self.slave.port == 502 else str(self.slave)
+        return self.slave.host if self.slave.port == MODBUS_PORT else str(self.slave)
 
 
 class LinkAddresses(NamedTuple):

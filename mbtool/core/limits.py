@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MODBUS_PORT = 502
+"""The TCP and UDP port of Modbus slaves (TCP guide V1.0b, 4.3.1.1)."""
+
 LAST_UNIT = 247
 """The last unit of a serial line (Serial Line V1.02, 2.2); 248 to 255 are reserved."""
 
@@ -19,6 +22,17 @@ MAX_BACK_NS = 20_000_000
 """If the time of a serial line's read is earlier than that of the read before by at most this, in
 ns, it is wrong: the bytes count as sent right behind those before. By more, the clock was set
 back."""
+
+SLAVE_CONNECTIONS = 32
+"""The default of the most masters that are connected to a slave that mbtool plays."""
+SLAVE_IDLE_S = 600.0
+"""The default of the seconds without a request after which such a slave closes a connection."""
+TAP_CONNECTIONS = 64
+"""The default of the most masters that are connected to a tap."""
+TAP_IDLE_S = 3600.0
+"""The default of the seconds without a byte after which a tap closes a connection."""
+CONNECTIONS_PER_SECOND = 100.0
+"""The default of the most new TCP connections that a slave or a tap accepts in a second."""
 
 RESPONSE_TIMEOUT_NS = 1_000_000_000
 """The default time in ns that a master waits for a response."""

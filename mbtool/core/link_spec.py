@@ -24,9 +24,9 @@ from pathlib import PurePath
 
 from mbtool.core.errors import UsageError
 from mbtool.core.evidence import Endpoint
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.serial_format import ModemLines, SerialFormat
 
-MODBUS_PORT = 502
 AUTO = "auto"
 ANY_INTERFACE = "any"
 MAX_INTERFACES = 16

@@ -102,7 +102,7 @@ def _duration_ns(text: str) -> int | None:
     return int(sum(Decimal(one) * _UNITS_NS[key] for key, one in parts.items()))
 
 
-# Writes counts, durations, shares and times as text, for messages and tables.
+# The code below writes counts, durations, shares and times as text, for messages and tables.
 
 _YEAR_1980_NS = 315_532_800_000_000_000
 _EPOCH_DAY = date(1970, 1, 1).toordinal()

@@ -36,7 +36,7 @@ from mbtool.core import (
     Stamp,
     WireEvent,
 )
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.decode.framed_line import FramedLine
 from mbtool.decode.line_timing import LineTiming

@@ -36,7 +36,7 @@ from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Poi
 from mbtool.devices.schema import description
 from mbtool.devices.validation import validate
 
-# Reads a user's TOML file: a profile, start values, or a list of faults.
+# The code below reads a user's TOML file: a profile, start values, or a list of faults.
 #
 # This module is not in core/, because core/ does no I/O. The caller states the largest file size.
 
@@ -403,7 +403,7 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     return texts
 
 
-# Matches an error message of msgspec, such as "Expected `int` <= 65535 - at `$.first`".
+# An error message of msgspec, such as "Expected `int` <= 65535 - at `$.first`".
 _MESSAGE = re.compile(r"(?P<problem>.*?)(?:, got .*?)?(?: - at `\$\.?(?P<path>[^`]*)`)?")
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _WORDS = {

@@ -342,7 +342,8 @@ class _Vocabulary:
         if self.profile is not None:
             rule = self.profile.rule(function)
             if rule is not None:
-                # A function of the standard keeps its name; the profile's is for readers.
+                # A function with addresses in a table keeps the standard's name here; the title in
+                # the profile is shown only by `mbtool devices`.
                 title = None if function in TABLE_FUNCTIONS else rule.title
                 if rule.answer is not None:
                     answer, texts = _answer_point(rule.answer, function), rule.answer.texts

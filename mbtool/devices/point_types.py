@@ -54,7 +54,17 @@ class PointType(StrEnum):
     @property
     def is_number(self) -> bool:
         """True if the value is a number, which can have a scale and a unit of measure."""
-        return self in _RANGES or self in (PointType.FLOAT32, PointType.FLOAT64)
+        return self in _RANGES or self.is_float
+
+    @property
+    def is_float(self) -> bool:
+        """True if the value is a number of IEEE 754, of 32 or 64 bits."""
+        return self in (PointType.FLOAT32, PointType.FLOAT64)
+
+    @property
+    def is_bcd(self) -> bool:
+        """True if the value is decimal digits of four bits each."""
+        return self in (PointType.BCD16, PointType.BCD32)
 
 
 _WORDS = {

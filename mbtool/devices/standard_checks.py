@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
-"""The highest unit on a serial line; 248 to 255 are reserved (Serial Line 2.2)."""
-
 RESERVED = frozenset((9, 10, 13, 14, 41, 42, 91, 125, 126, 127))
 """The function codes that the standard reserves for old products of some companies (Application
 Protocol, Annex A), without 90 (5AH), of which SEC-103 tells what matters."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mbtool.devices.model import FunctionRule
     from mbtool.modbus.tables import Table
 
-# Checks that no text of a profile has control characters.
+# The code below checks that no text of a profile has control characters.
 #
 # Texts of a profile are printed in tables, in lines of a log and in finding codes. A line end would
 # break the table or the line, and a terminal would execute an escape sequence. Only the keys `note`
@@ -79,7 +79,7 @@ def _quoted(name: str) -> str:
     return f'"{"".join(one if one.isprintable() else "?" for one in name)}"'
 
 
-# Checks that the keys of one point of a profile do not contradict one another.
+# The code below checks that the keys of one point of a profile do not contradict one another.
 
 _WITHOUT_NUMBER = (PointType.BIT, PointType.STRING, PointType.FLOAT32, PointType.FLOAT64)
 _PLACEHOLDER = re.compile(r"\{(n|reference)\}")

@@ -46,7 +46,6 @@ _FORMATS = {
 }
 """The formats of Python's module struct for signed and float types. All other types are unsigned
 numbers, which are read without struct."""
-_BCD = (PointType.BCD16, PointType.BCD32)
 # The number of significant digits to show: a 32-bit float has 7, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
 _DIGITS = 15
@@ -288,7 +287,7 @@ def _number(point: Point, raw: Sequence[int]) -> float | None:
     if point.type is PointType.STRING:
         return None
     data = _bytes(point, raw)
-    if point.type in _BCD:
+    if point.type.is_bcd:
         digits = data.hex()
         return int(digits) if digits.isdecimal() else None
     form = _FORMATS.get(point.type)
@@ -337,7 +336,7 @@ def _unscaled(point: Point, value: float) -> float:
 
 def _number_bytes(point: Point, number: float, value: float | str) -> bytes:
     size = 2 * point.words
-    if point.type in (PointType.FLOAT32, PointType.FLOAT64):
+    if point.type.is_float:
         try:
             return struct.pack(_FORMATS[point.type], number)
         except OverflowError:
@@ -347,7 +346,7 @@ def _number_bytes(point: Point, number: float, value: float | str) -> bytes:
         low, high = (_scaled(point, end) for end in (allowed[0], allowed[-1]))
         raise UsageError(f"{value} does not fit {point.type}, which holds {low}..{high}")
     number = int(number)
-    if point.type in _BCD:
+    if point.type.is_bcd:
         return bytes.fromhex(f"{number:0{2 * size}d}")
     return number.to_bytes(size, "big", signed=number < 0)
 

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import msgspec
 
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.ledger.inventory_ranges import AddressRange, joined
 
 INVENTORY_FORMAT = "mbtool-inventory-1"

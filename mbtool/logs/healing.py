@@ -79,8 +79,8 @@ _SUMMARY = frozenset(
 
 _ONLY_IN_SUMMARY = _SUMMARY - {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANNEL}
 
-# Finds where a record that can be verified may begin: one of five opcodes, and behind it a length
-# below 80 MiB.
+# The places where a record that can be verified may begin: one of five opcodes, and behind it a
+# length below 80 MiB.
 _CANDIDATE = re.compile(rb"(?=[\x02\x06\x09\x0c\x0f].{3}[\0-\x04]\0{4})", re.DOTALL)
 
 

@@ -186,7 +186,8 @@ class MessageDecoder:
     def _note_end(self, batch: _Batch, items: list[LogItem]) -> None:
         self.end_ns = batch.end_ns
         if batch.order[-1] == schemas.EVIDENCE and isinstance(items[-1], Chunk):
-            self.end_ns = items[-1].ts_ns  # The message's log time is that of its first read.
+            # A message joins several chunks, and its log time is that of the first one.
+            self.end_ns = items[-1].ts_ns
 
     def _decoded_at_once(self, batch: _Batch) -> list[LogItem]:
         order, raw = batch.order, batch.raw

@@ -59,7 +59,7 @@ class PointChanges:
             )
 
 
-# Names a topic for each point (named value) of a device: `/points/LINK/unit_5/NAME`.
+# The code below names a topic for each point (named value) of a device: `/points/LINK/unit_5/NAME`.
 #
 # With such topics a viewer such as Foxglove lists points by name. Foxglove's message paths take
 # letters, digits, `_` and `-` without quotes; any other character becomes `_`. If two points would

@@ -31,7 +31,8 @@ from mbtool.logs.records import RecordStream
 if TYPE_CHECKING:
     from typing import BinaryIO
 
-# Reads what follows the data section of a log: the summary, the footer and the magic bytes.
+# The code below reads what follows the data section of a log: the summary, the footer and the magic
+# bytes.
 #
 # The summary repeats what is in the data section, so damage in it loses no captured or decoded
 # data. It is reported nevertheless: other readers find the chunks by the summary, and a disk that

@@ -15,9 +15,10 @@
 # A unit that did not answer in time may answer late, and its answer would be taken for that to a
 # request of ours. So it is asked again only when it has answered two polls in a row as it should.
 #
-# Bytes that a read finds at once may have come at any time since the read before, and those of a
-# process that had to wait for a processor at any time until it had one. What is doubtful by more
-# than MOST_DOUBT_NS tells nothing of a pause or a period: pauses would look far shorter.
+# The time of bytes is in doubt in two cases: they were there already when a read began, so they
+# came at any time since the read before; or this process had to wait for a processor. Bytes whose
+# time is in doubt by more than MOST_DOUBT_NS are not used to measure a pause or a period, as pauses
+# would seem far too short.
 #
 # If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
 # noted, too.

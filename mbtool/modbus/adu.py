@@ -194,7 +194,7 @@ class Skipped:
     """The wrong CRC or LRC, if the bytes are a frame with one."""
 
 
-# Makes the ADU of a PDU for each transport, and computes the CRC and the LRC.
+# The code below makes the ADU of a PDU for each transport, and computes the CRC and the LRC.
 
 MBAP_BYTES = 7
 CRC_BYTES = 2
@@ -246,7 +246,8 @@ def mbap_adu(transaction_id: int, unit: int, pdu: bytes) -> bytes:
     return struct.pack(">HHHB", transaction_id, 0, 1 + len(pdu), unit) + pdu
 
 
-# Reads one frame of a Modbus ASCII line, even if it differs a little from the standard.
+# The code below reads one frame of a Modbus ASCII line, even if it differs a little from the
+# standard.
 #
 # A frame is a colon, two hexadecimal digits for each byte including the LRC, CR and LF (Serial
 # Line V1.02, 2.5.2.1). Devices differ: some write lower-case digits, some leave out CR or LF, and

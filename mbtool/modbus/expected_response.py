@@ -35,7 +35,6 @@ _ECHOED = ECHOING - {0x08}  # 08 echoes only some of its sub-functions.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
 """The size in bytes of the response's PDU, by function code; UNKNOWN_SIZE if the function alone
 does not tell it."""
-"""The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 
 
 class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
@@ -90,11 +89,12 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         return code in (self.code, self.code | EXCEPTION_BIT)
 
 
-# Decides if a response belongs to a request of the same unit, and says why it does not.
+# The code below decides if a response belongs to a request of the same unit, and says why it does
+# not.
 #
 # The fields of the two PDUs are compared: a field that a response repeats must be equal in both.
-# Decoders of a serial line compare bytes instead (expected_response.py), which is stricter: every
-# response that is accepted there is also accepted here.
+# Decoders of a serial line use ExpectedResponse instead, which compares bytes and is stricter: each
+# response that it accepts, the functions below accept, too.
 
 _REPEATED = frozenset(
     {"address", "value", "sub_function", "and_mask", "or_mask", "mei_type", "quantity"}

@@ -27,10 +27,10 @@ EXCEPTION_BIT = 0x80
 
 WRITE_SINGLE_COIL = 0x05
 DIAGNOSTICS = 0x08
-FORCE_LISTEN_ONLY = 4  # a sub-function of DIAGNOSTICS
 MASK_WRITE_REGISTER = 0x16
 READ_WRITE_REGISTERS = 0x17
-"""Function codes that other rooms name; the sets below hold the rest."""
+FORCE_LISTEN_ONLY = 4
+"""The sub-function of DIAGNOSTICS that has no response (V1.1b3, 6.8.1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

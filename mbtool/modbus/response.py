@@ -117,7 +117,8 @@ class Responder(Protocol):
         ...
 
 
-# Makes the bytes of a response on the wire, with simulated faults of a slave or a line.
+# The code below makes the bytes of a response on the wire, with simulated faults of a slave or a
+# line.
 #
 # A Response has a PDU and a Distortion, which lists the faults. A simulated slave calls
 # `wire_pieces` for the bytes to send: the ADU with another unit or transaction id, with a wrong CRC

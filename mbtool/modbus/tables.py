@@ -32,3 +32,11 @@ READS_OF_TABLE = {
     Table.INPUT_REGISTERS: 0x04,
 }
 """The function code that reads each table."""
+
+DIGIT_TABLES = {
+    "0": Table.COILS,
+    "1": Table.DISCRETE_INPUTS,
+    "3": Table.INPUT_REGISTERS,
+    "4": Table.HOLDING_REGISTERS,
+}
+"""The table that the first digit of a register reference means: 40011 is holding register 10."""

@@ -45,13 +45,13 @@ from mbtool.core import (
     StreamPlace,
     WireEvent,
 )
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.packets.pcap import MAX_CAPTURED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-# Extracts the bytes of a serial line from the packets of a capture file.
+# The code below extracts the bytes of a serial line from the packets of a capture file.
 #
 # Link types (tcpdump.org/linktypes.html):
 #

@@ -190,12 +190,12 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
 276 Linux cooked, the others raw IP."""
 
 
-# Reads MAC addresses and VLAN in the header of the link layer.
+# The code below reads MAC addresses and VLAN in the header of the link layer.
 #
 # Ethernet begins with the receiver's and the sender's address. The cooked headers of Linux have the
 # sender's only: type 113 at byte 6, type 276 at byte 12, each in a field of 8 bytes, with the
-# address's length in front. VLAN tags follow as link_layer.py describes them; each begins behind
-# its EtherType with 4 bits of priority and 12 bits of id. The id 0 only carries a priority.
+# address's length in front. VLAN tags follow as the module's head describes them; each begins
+# behind its EtherType with 4 bits of priority and 12 bits of id. The id 0 only carries a priority.
 
 MAX_CACHED_HEADERS = 4096
 """The results for this many headers are cached; then the least recently used one is dropped."""

@@ -36,6 +36,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from mbtool.core import Connection, EventKind, Origin, Packet, WireEvent
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.fragments import (
     Datagram,
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
 
     from mbtool.packets.ended_connection import EndedConnection
 
-MODBUS_PORTS = frozenset((502,))
+MODBUS_PORTS = frozenset((MODBUS_PORT,))
 MAX_CONNECTIONS = 4096
 MAX_HOLDING = 256
 """At most this many connections hold bytes back at once, waiting for earlier bytes."""

@@ -30,7 +30,8 @@ from mbtool.ports.serial_port import who_may
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-# Reads the small files of /sys and /proc. A file that cannot be read is taken as empty.
+# The code below reads the small files of /sys and /proc. A file that cannot be read is taken as
+# empty.
 
 
 def read_text(path: Path) -> str:
@@ -275,7 +276,8 @@ def _natural(name: str) -> list[tuple[str, int]]:
     return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D+)(\d*)", name)]
 
 
-# Finds a serial port again after it was unplugged, under whatever name it comes back.
+# The code below finds a serial port again after it was unplugged, under whatever name it comes
+# back.
 #
 # A USB adapter that is unplugged while its port is open comes back as /dev/ttyUSB1, not ttyUSB0. On
 # Linux its serial number identifies it; an adapter with several ports has a USB interface for each.
@@ -346,7 +348,7 @@ def _identity(tty: Path) -> PortIdentity | None:
     return None
 
 
-# Finds the processes that have a serial port open. Linux only.
+# The code below finds the processes that have a serial port open. Linux only.
 #
 # /proc/PID/fd has a link for each open file. Only folders below /proc are opened, never a port, as
 # opening a port could change its control lines. Only root can look into the processes of other

@@ -30,6 +30,7 @@ from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
 from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
+from mbtool.core.limits import CONNECTIONS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 # burst of as many connections as may come in one second is accepted at once, then one for each
 # token that the passing time adds.
 
-DEFAULT_PER_SECOND = 100.0
 SPARE_S = 1.0
 """If a tap has as many connections as its limit allows, a new one replaces an unused one. Unused is
 a connection on which the slave has never answered, or that one side has ended, and that carried no
@@ -55,7 +55,7 @@ class ConnectionLimits:
 
     connections: int | None = None
     per_second: float | None = None
-    """The most new connections in a second; None means DEFAULT_PER_SECOND."""
+    """The most new connections in a second; None means CONNECTIONS_PER_SECOND."""
     idle_s: float | None = None
 
 
@@ -63,7 +63,7 @@ class ConnectionRate:
     """Limits the rate of new connections with a bucket of tokens."""
 
     def __init__(self, per_second: float | None) -> None:
-        self.per_second = DEFAULT_PER_SECOND if per_second is None else per_second
+        self.per_second = CONNECTIONS_PER_SECOND if per_second is None else per_second
         self._left = self._burst = max(self.per_second, 1.0)
         self._at_s = -math.inf
 
@@ -77,7 +77,8 @@ class ConnectionRate:
         return True
 
 
-# Decides which machines may connect to a TCP listener: this one, and those given by --allow.
+# The code below decides which machines may connect to a TCP listener: this one, and those given by
+# --allow.
 #
 # AllowedPeers also has the limits that the user has set for the connections of these machines.
 #

@@ -238,7 +238,7 @@ def _words(error: ssl.SSLError) -> str:
     return (error.reason or str(error)).replace("_", " ").lower()
 
 
-# Describes the peer of a TLS connection from its certificate.
+# The code below describes the peer of a TLS connection from its certificate.
 #
 # Python's ssl gives the subject of a verified certificate, but few of its extensions. In Modbus/TCP
 # Security a client's role is in an extension: 1.3.6.1.4.1.50316.802.1, a UTF8String

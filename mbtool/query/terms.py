@@ -205,6 +205,8 @@ def _field(name: str) -> Term:
         case inspect.IntType(le=le):
             allowed = range(le + 1) if le is not None and le <= _WORD[-1] else None
             return _number(name, attrgetter(name), allowed)
+        case inspect.FloatType():
+            return _number(name, attrgetter(name))
         case inspect.EnumType(cls=choices):
             return _text(name, attrgetter(name), choices)
         case inspect.ListType(item_type=inspect.EnumType(cls=choices)):
@@ -325,5 +327,19 @@ _TERMS = (
     _field("verdicts"),
 )
 
-NAMES = {term.text: term for term in _TERMS}
+_SCALARS = (inspect.IntType, inspect.FloatType, inspect.StrType, inspect.EnumType)
+
+
+def _other_fields() -> Iterator[Term]:
+    """Yield a term for each other field that has one number or text and is no time in ns."""
+    named = {term.text for term in _TERMS}
+    for field in transaction_fields():
+        is_time = field.name.endswith("_ns")
+        if field.name not in named and not is_time and isinstance(field.type, _SCALARS):
+            yield _field(field.name)
+
+
+USUAL_NAMES = tuple(term.text for term in _TERMS)
+"""The names that messages list."""
+NAMES = {term.text: term for term in (*_TERMS, *_other_fields())}
 """The names that a --where expression can use, such as `unit`. docs/filters.md lists them."""

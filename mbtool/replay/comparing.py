@@ -58,7 +58,8 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
     from mbtool.replay.connections import RecordedConnection
 
-# Tests whether two samples differ significantly: a rank test and a test of two shares.
+# The code below tests whether two samples differ significantly: a rank test and a test of two
+# shares.
 #
 # Latencies have long tails and clusters at a timer's ticks, so no distribution is assumed:
 #
@@ -196,7 +197,8 @@ def _connection_differences(
 ) -> Iterator[Difference]:
     """Compare the connections to the slaves; the keys are the names of their links."""
     pairs = [(link, link) for link in a.keys() & b.keys()]
-    if len(a) == len(b) == 1:  # One slave, whose address may be another one.
+    # If each capture has only one slave, it is taken for the same one, even if its address differs.
+    if len(a) == len(b) == 1:
         pairs = [(next(iter(a)), next(iter(b)))]
     for link, other in sorted(pairs):
         is_known = all(one.end is None or one.is_end_known for one in (*a[link], *b[other]))

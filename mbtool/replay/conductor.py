@@ -17,9 +17,10 @@
 # After a broadcast it waits for `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200
 # ms).
 #
-# A step of a connection (script.py) waits likewise. While the end of a connection by the slave is
-# awaited, nothing else is done; after the time-out it counts as not ended. At the speed `max`, a
-# step of a connection waits for its `rest_ns`.
+# A step that opens or ends a TCP connection (ConnectionStep in script.py) waits likewise. While the
+# end of a connection by the slave is awaited, nothing else is done; after the time-out it counts as
+# not ended. At the speed `max` such a step also waits `rest_ns`, the recorded time since its cause,
+# such as the last refusal.
 #
 # While the clock is paused, only steps that `allow_step` permits are sent (the user presses the
 # step key); each of them moves the clock to the position of the step.

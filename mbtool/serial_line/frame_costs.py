@@ -36,8 +36,6 @@ from mbtool.serial_line.line_statistics import LatencyStatistics
 if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
-"""The largest address of a slave (Serial Line V1.02, 2.2)."""
-
 USUAL_TIMEOUT_NS = 200_000_000
 """Masters seldom wait less than this, in ns, for a response."""
 

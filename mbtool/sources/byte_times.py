@@ -53,6 +53,7 @@ from mbtool.core import (
 )
 from mbtool.sources.byte_files import SerialBytes
 from mbtool.sources.text_marks import iso_ns
+from mbtool.sources.uart import BAUDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -82,10 +83,6 @@ _DECIMAL = re.compile(r"\d{1,3}", re.ASCII)
 _WORDS = {"\\r": 13, "\\n": 10, "\\t": 9, "\\0": 0, "COMMA": 44, "": 32}
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:.*", re.ASCII)
 _MAX_NS = 2**63 - 1
-_BAUDS = (
-    300, 600, 1200, 2400, 4800, 9600, 14400, 19200, 28800, 38400, 57600, 76800, 115200, 230400,
-    250000, 460800, 500000, 921600, 1000000,
-)  # fmt: skip
 _TOLERANCE = 0.02
 """A measured baud rate is taken as a usual baud rate if they differ by at most 2 %."""
 _LENGTHS = (8, 11, 10)
@@ -174,7 +171,7 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return _format_of_starts(rows)
     for bits in _LENGTHS:
         rate = bits * 1e9 / width_ns
-        baud = min(_BAUDS, key=lambda each: abs(each - rate))
+        baud = min(BAUDS, key=lambda each: abs(each - rate))
         if abs(baud - rate) <= _TOLERANCE * baud:
             break
     else:
@@ -192,7 +189,7 @@ def _format_of_starts(rows: Sequence[_Row]) -> SerialFormat:
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step > 0), default=0)
     for bits, parity in ((10, "N"), (11, "E")):
-        for baud in _BAUDS:
+        for baud in BAUDS:
             if abs(shortest_ns * baud / 1e9 - bits) <= _TOLERANCE * bits:
                 return SerialFormat(baud, 8, parity, 1)
     return SerialFormat()

@@ -31,7 +31,7 @@ from mbtool.ports.clock import share_clock
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Asks the system to run this process before others, if the user may do so.
+# The code below asks the system to run this process before others, if the user may do so.
 #
 # This is for processes that sleep until a byte arrives, note the time, and sleep again: they need
 # little processor time, but need it at once. On Linux, if permitted (root, CAP_SYS_NICE or

@@ -42,7 +42,8 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
-from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
+from mbtool.core.link_spec import ANY_INTERFACE
 from mbtool.core.local_ports import PortTrouble
 from mbtool.ports.clock import ClockWatch, now_ns
 from mbtool.sources.inbox import Ended, PatientSink

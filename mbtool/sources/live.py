@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import AutoLink, InterfaceLink, LinkSpec, SerialLink, TapLink, TcpLink, UsageError
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 
 if TYPE_CHECKING:

@@ -33,6 +33,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, EventKind, Quiet, TapLink, WireEvent
+from mbtool.core.limits import TAP_CONNECTIONS, TAP_IDLE_S
 from mbtool.packets import CloseReason
 from mbtool.ports.clock import now_ns
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener, reset
@@ -47,8 +48,6 @@ if TYPE_CHECKING:
 
     from mbtool.sources.inbox import Sink
 
-MAX_CONNECTIONS = 64
-IDLE_S = 3600.0
 _TICK_S = 0.1
 """The period in seconds at which the tap puts a Quiet item (all bytes up to now are delivered) and
 closes idle connections."""
@@ -70,8 +69,8 @@ class TapSource(LiveSource[TapLink]):
         inbox: Sink,
         *,
         allowed: AllowedPeers = THIS_MACHINE,
-        max_connections: int = MAX_CONNECTIONS,
-        idle_s: float = IDLE_S,
+        max_connections: int = TAP_CONNECTIONS,
+        idle_s: float = TAP_IDLE_S,
         waits: bool = False,
     ) -> None:
         """If `waits` is True, the tap accepts no connection before `accept` is called.

@@ -39,7 +39,7 @@ from mbtool.core import (
     StreamPlace,
     WireEvent,
 )
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.moments import DAY_NS
 from mbtool.modbus.adu import Transport
 from mbtool.packets.stream_events import StreamGap

@@ -1,14 +1,14 @@
 """NET-LOST: TCP connections that were reset or refused."""
 
-# The account counts the connections of each master to each slave by how they ended; the events give
-# the evidence. A reset is also how some masters end a connection on purpose (after each poll, or to
-# be quick). So resets of connections that a master opens for single polls, all of which end so, are
-# a note, if no request was open then. A connection that the capture's end cuts, or that was idle,
-# is none.
+# The statistics of a link (ledger/account.py) count how the connections of each master to each
+# slave ended; events of the decoder give the evidence. Some masters reset a connection on purpose
+# after each poll. If all connections that a master opens for single polls end so, and no request
+# was open then, NET-LOST has the severity of a note. A connection that was idle, or that the end of
+# the capture cuts, does not count as lost.
 #
 # A request that was open when its connection was reset has no answer because of that. If most
-# missing answers of a unit are such, they are told here, and the unit is not blamed. How long the
-# master asked nothing is the time from a reset to its next connection.
+# missing answers of a unit have this cause, NET-LOST tells them, and no trouble is told of the
+# unit. How long the master asked nothing is the time from a reset to its next connection.
 #
 # Memory: MAX_EVIDENCE events, and numbers for each unit, for each of at most MAX_LINKS masters of a
 # link; the last request of each of at most MAX_LINKS connections.

@@ -8,6 +8,9 @@
 #   - without: the values of the whole recording, and a little beyond them, as the number may have
 #     been seen shortly before or after it
 #
+# A register that never had the number in the recording is less than half likely, even if no other
+# one is near: what was seen before or after the recording is seldom known to be seen there.
+#
 # A register that takes many values makes each of them less probable. So a constant that matches by
 # chance and a noisy value compete fairly, and a second sighting decides between them. Several
 # sightings of one display are multiplied.
@@ -42,6 +45,8 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 100
 """At most this many places are returned for a number."""
+LIKELY = 0.5
+"""A place is the answer if it is at least as likely as this."""
 NOWHERE = 1e-5
 """The greatest probability (0 to 1) of seeing a number that is in no register."""
 _NOWHERE_OF_ITS_SIZE = 0.01
@@ -63,7 +68,6 @@ _WHOLE_SCALES = {
 }
 """By power of ten: how frequent a scale of whole numbers is."""
 _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 2, 3)}
-_FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 _UNSEEN_DIGIT = 1.4
 """A register with a digit more than the display shows is less probable by exp of this."""
 _DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
@@ -76,6 +80,8 @@ _MOST_IDEAS = 200
 """So many ideas of each number are balanced with those of the others."""
 _ROUNDS = 12
 _STRIDE_ROUNDS = 3
+_OUTSIDE = 0.45
+"""The factor (0 to 1) for registers that never had the number in the recording."""
 _MOST_STRIDES = 12
 """So many places of each number are looked at for equal distances."""
 
@@ -123,6 +129,8 @@ class FoundPlace:
     low: float
     high: float
     """The least and the greatest value in the recording, with the scale."""
+    outside: tuple[float, ...] = ()
+    """The numbers seen that the registers never had in the recording."""
 
     @property
     def scale(self) -> float:
@@ -165,21 +173,39 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
         scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
     shares = _balanced(scores, nowhere, ideas)
     return [
-        [
-            FoundPlace(
-                slave=ideas[place].slave.slave,
-                table=ideas[place].history.table,
-                address=ideas[place].address,
-                reading=ideas[place].reading,
-                power=power,
-                likelihood=share,
-                low=scaled(ideas[place].low, power),
-                high=scaled(ideas[place].high, power),
-            )
-            for (place, power), share in sorted(own.items(), key=lambda each: -each[1])[:MOST_SHOWN]
-        ]
-        for own in shares
+        sorted(
+            (
+                _place(one, ideas[place], power, share)
+                for (place, power), share in nlargest(
+                    MOST_SHOWN, own.items(), key=lambda each: each[1]
+                )
+            ),
+            key=lambda each: -each.likelihood,
+        )
+        for one, own in zip(wanted, shares, strict=True)
     ]
+
+
+def _place(one: Wanted, idea: _Idea, power: int, share: float) -> FoundPlace:
+    low, high = scaled(idea.low, power), scaled(idea.high, power)
+    lag = 2 * scaled(idea.step, power)
+    outside = [
+        seen.value
+        for seen in one.sightings
+        if max(low - seen.value, seen.value - high)
+        > 1.001 * seen.tolerance + (0 if seen.at_ns is None else lag)
+    ]
+    return FoundPlace(
+        slave=idea.slave.slave,
+        table=idea.history.table,
+        address=idea.address,
+        reading=idea.reading,
+        power=power,
+        likelihood=share * (_OUTSIDE if outside else 1.0),
+        low=low,
+        high=high,
+        outside=tuple(dict.fromkeys(outside)),
+    )
 
 
 def _nowhere(one: Wanted) -> float:
@@ -206,7 +232,7 @@ def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
         for place, idea in enumerate(ideas):
             if any(abs(seen.value - idea.middle) > idea.reach + reach for seen in sightings):
                 continue
-            is_float = idea.reading.type in _FLOATS
+            is_float = idea.reading.type.is_float
             share = (_FLOAT_SCALES if is_float else _WHOLE_SCALES).get(power)
             if share is None:
                 continue
@@ -320,9 +346,9 @@ _READINGS = (
 
 
 def _is_plausible(numbers: Sequence[float], reading: WordReading) -> bool:
-    if reading.type in _FLOATS:
+    if reading.type.is_float:
         return all(math.isfinite(one) and (one == 0 or 1e-6 < abs(one) < 1e12) for one in numbers)
-    if reading.type in (PointType.BCD16, PointType.BCD32):
+    if reading.type.is_bcd:
         return max(numbers) > 9
     return all(abs(one) < 1 << 53 for one in numbers)
 

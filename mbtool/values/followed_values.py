@@ -73,7 +73,7 @@ def values_of_profile(
         if point.table is not table or point.access is Access.WRITE:
             continue
         form = PointType.UINT16 if point.type in _STATES else point.type
-        if form not in FORMATS and form not in (PointType.BCD16, PointType.BCD32):
+        if form not in FORMATS and not form.is_bcd:
             continue
         order = _ORDERS.get((point.word_order, point.byte_order), Order.ABCD)
         for first in point.addresses:

@@ -1,13 +1,15 @@
 """Judges what the registers of a device hold, from the words that they had over time."""
 
-# What is known of a device: the words of its registers over time, and which registers a master asks
-# for together. `segmentation.py` divides each range that was read into values; `number_costs.py`
-# says how well numbers fit. The evidence:
+# The input is what is known of a device: the words of its registers over time, and which registers
+# a master asks for together. `segmentation.py` divides each range that was read into values;
+# `number_costs.py` says how well numbers fit. The evidence:
 #
-#   - how the numbers begin and change, read in each way: smoothly, with few decimals, near 0
+#   - the numbers that the words give, read as each type: do they change smoothly, have few
+#     decimals, begin near 0?
 #   - a register that carries into another, and one that is the sign of another, make one number
 #     cheaper than two
-#   - a request that begins or ends inside a value speaks against it; one for just it, for it
+#   - a request whose range begins or ends inside a supposed value is evidence against it; a request
+#     for exactly its registers is evidence for it
 #   - values of one kind stand side by side
 #   - a device has one order of words, and its kinds of values: what is found in all its registers
 #     counts for each of them (ROUNDS times over)
@@ -211,7 +213,7 @@ class _Range:
         while (
             end < len(self.span)
             and not self.moves[end]
-            and _is_letters(self.columns[end][0])
+            and _can_be_text(self.columns[end][0])
             and end - at < READ_LIMIT
             and not (end > at and self._edges[self.span.start + end])
             and not (end > at and not self.columns[end - 1][0] & 0xFF)
@@ -272,7 +274,7 @@ def _whole_series_cost(numbers: Sequence[int], bits: int) -> float:
     return whole_cost(numbers[0], bits) + changes_cost(numbers, bits) + noise_cost(numbers, bits)
 
 
-def _is_letters(word: int) -> bool:
+def _can_be_text(word: int) -> bool:
     high, low = divmod(word, 256)
     return 0x20 <= high < 0x7F and (0x20 <= low < 0x7F or low == 0)
 
@@ -428,9 +430,9 @@ def _is_in_doubt(
     With `is_divided`, a request asked for just these registers and others, as if they were one.
     With `is_vouched`, a request asked for just these, or another of their kind stands before them.
     """
-    if reading.type in (PointType.BCD16, PointType.BCD32):
+    if reading.type.is_bcd:
         return len(set(numbers)) < _FEWEST_DIGITS
-    if reading.type in (PointType.FLOAT32, PointType.FLOAT64) and len(set(numbers)) == 1:
+    if reading.type.is_float and len(set(numbers)) == 1:
         is_plain = few_decimals(numbers, 16 * reading.words) is not None
         return is_divided or not (is_plain and is_vouched)
     return False

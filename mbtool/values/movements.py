@@ -132,9 +132,7 @@ class Movements:
         self._known_no_values = np.array(
             [np.nan if one.no_value is None else one.no_value for one in values], np.float64
         )
-        self._is_float = np.array(
-            [one.reading.type in (PointType.FLOAT32, PointType.FLOAT64) for one in values], np.bool_
-        )
+        self._is_float = np.array([one.reading.type.is_float for one in values], np.bool_)
 
     @np.errstate(all="ignore")  # A device may send any number, also the largest of 64 bits.
     def add(self, times_ns: Sequence[int], words: bytes) -> None:

@@ -45,7 +45,7 @@ class ValueRole(StrEnum):
 def role_of(numbers: Sequence[float], times_ns: Sequence[int], reading: WordReading) -> ValueRole:
     """Tell what a value is, from its numbers over time."""
     changes = [(before, now) for before, now in pairwise(numbers) if now != before]
-    is_whole = reading.type not in (PointType.FLOAT32, PointType.FLOAT64)
+    is_whole = not reading.type.is_float
     if is_whole and reading.words == 2 and is_clock(numbers, times_ns):
         return ValueRole.CLOCK
     if not changes:
@@ -97,7 +97,7 @@ def reason_for(
     phrases = []
     if role is ValueRole.CLOCK:
         phrases.append("the seconds since 1970 by the recording's own time")
-    elif reading.type in (PointType.FLOAT32, PointType.FLOAT64):
+    elif reading.type.is_float:
         few = few_decimals(numbers, 16 * reading.words) is not None
         phrases.append(f"as a float {span_of(numbers)}" + (", of few digits" if few else ""))
         if not few and _moves_more(columns, reading):

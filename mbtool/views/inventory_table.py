@@ -46,7 +46,8 @@ if TYPE_CHECKING:
         SlaveRow,
     )
 
-# Prints how an inventory (who talks to whom, and which ranges) differs from an older one.
+# The code below prints how an inventory (who talks to whom, and which ranges) differs from an older
+# one.
 #
 # A line has the kind of change, the host with its unit, and a text:
 #

@@ -43,7 +43,7 @@ def plain_table(*headings: str) -> Table:
     return table
 
 
-# Makes the texts of table rows for transactions that differ only in their values.
+# The code below makes the texts of table rows for transactions that differ only in their values.
 #
 # The text of one of these transactions, the example, is made as for any row, but with the number
 # _MARK as its only value. All the others have the same text before and behind the mark.

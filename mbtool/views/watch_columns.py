@@ -121,7 +121,7 @@ def fitted(
     needed = _needed(columns, widest)
     columns = [_as_wide(one, needed) for one in columns]
     if chosen is None:
-        columns = [_placed(one, places) for one in columns if not _is_empty(one, widest)]
+        columns = [_placed(one, places) for one in columns if not _may_be_left_out(one, widest)]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
     kept = kept or list(columns[:1])
     while True:
@@ -156,7 +156,7 @@ def left_out(
             seen.add(one.column.name)
     names = {one.column.name for one in shown} | {one.name for one in columns if one.is_usual}
     return {
-        one.name: "empty" if _is_empty(one, widest) else "no room at this width"
+        one.name: "empty" if _may_be_left_out(one, widest) else "no room at this width"
         for one in columns
         if one.name in names - seen
     }
@@ -177,7 +177,7 @@ def _least_room(columns: Sequence[WatchColumn], last: WatchColumn) -> int:
     return sum(min(share, LEAST_REST) if last.is_spared else share for share in shares)
 
 
-def _is_empty(column: WatchColumn, widest: Mapping[str, int]) -> bool:
+def _may_be_left_out(column: WatchColumn, widest: Mapping[str, int]) -> bool:
     """True for a column that may be left out, and is known to have no text in its cells."""
     return column.is_measured and column.rank > 0 and widest.get(column.name) == 0
 

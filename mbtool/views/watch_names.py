@@ -128,7 +128,7 @@ class _NamesInCell:
             is_alone = len(members) == 1
             values = phrases[at].removeprefix(f"{members[0].name if is_alone else subject}: ")
             name = self._short(members[0], shorten) if is_alone else shorten(subject)
-            # Nothing stands between label and value where the subject is left out.
+            # If the subject is shortened to an empty text, there is no colon either.
             colon = ":" if shorten(subject) else ""
             phrases[at] = f"{name}{colon} {values}".lstrip()
         return phrases

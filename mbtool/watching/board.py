@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from mbtool.values.judging import Judged
     from mbtool.watching.watched_rows import Record
 
-# Makes table rows from a board (the figures of live views): copies, which do not change later.
+# The code below makes table rows from a board (the figures of live views): copies, which do not
+# change later.
 
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""

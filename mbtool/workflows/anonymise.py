@@ -26,6 +26,7 @@ from mbtool.core import (
     WireEvent,
     parse_link,
 )
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.link_spec import SerialLink, TapLink
 from mbtool.core.pseudonyms import Pseudonyms
 from mbtool.devices import builtin_profiles, parse_who
@@ -96,7 +97,7 @@ class _Copy:
         shown = self._conversion.evidence()
         head = self._conversion.head()
         rtu_ports = _ports(head, RTU_PORTS)
-        ports = {502, *_ports(head, PORTS), *rtu_ports, *self._conversion.modbus_ports}
+        ports = {MODBUS_PORT, *_ports(head, PORTS), *rtu_ports, *self._conversion.modbus_ports}
         packets = AnonymousPackets(self._pseudonyms, ports, rtu_ports, self._choice)
         capture = {key: value for key, value in head.capture.items() if key == ACROSS}
         with LogWriter(path, capture={EVIDENCE_ONLY: "true", **capture}) as log:

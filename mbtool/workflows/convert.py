@@ -35,6 +35,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.errors import reason_of
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.replacing import replacing
 from mbtool.devices import profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
@@ -525,7 +526,7 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
         for link in group.marks.spans:
             links.setdefault(link, {SPEC: _spec(group, link)})
     if ports or rtu_ports:
-        named = {PORTS: " ".join(ports or ["502"]), RTU_PORTS: " ".join(rtu_ports)}
+        named = {PORTS: " ".join(ports or [str(MODBUS_PORT)]), RTU_PORTS: " ".join(rtu_ports)}
         links["packets"] = named
     capture = {} if any(group.is_log for group in groups) else {ACROSS: "1"}
     return CaptureHead(capture={"made_by": "mbtool", **capture}, links=links, devices=devices,

@@ -1,9 +1,9 @@
 """Tells other programs what a recording hears: MQTT, metrics, and commands for troubles."""
 
-# Recording waits for none of them: bytes are written to the log by another thread, values are put
-# where a thread of the publisher takes them, metrics are a text that a thread hands out, and a
-# command runs as a process of its own. The judgement, which metrics and commands need, is computed
-# at most once a second, and takes at most 1 / SHARE of the time.
+# Recording waits neither for MQTT nor for metrics or commands: bytes are written to the log by
+# another thread, values are put where a thread of the publisher takes them, metrics are a text that
+# a thread hands out, and a command runs as a process of its own. Metrics and commands need the list
+# of troubles. It is computed at most once a second, and takes at most 1 / SHARE of the time.
 
 from __future__ import annotations
 

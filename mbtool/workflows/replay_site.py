@@ -24,7 +24,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Endpoint, InputError, LinkSpec, TcpLink, UsageError, parse_link
-from mbtool.core.link_spec import ANSWERED, MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
+from mbtool.core.link_spec import ANSWERED
 from mbtool.devices import parse_who
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.shells import slave_link

@@ -74,7 +74,7 @@ def test_what_is_left_of_a_cut_log_is_converted_and_the_exit_code_is_3(
         ([LINE, LINE], "is an input"),
         (
             [LINE, "x.docx"],
-            "its suffix names no format; let it end in .mcap, .pcap, .pcapng, .jsonl",
+            "its suffix names no format; let it end in .mcap, .pcap, .pcapng, .txt",
         ),
         ([LINE, "x.pcap"], "name it x.pcapng"),
         ([LINE, "x.pcapng", "--events", "all"], "--events goes with .jsonl"),

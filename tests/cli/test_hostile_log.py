@@ -44,7 +44,6 @@ COMMANDS = (
     "inventory LOG --format json",
     "inventory LOG --format csv",
     "inventory LOG --format dot",
-    "inventory LOG --format cyclonedx",
     "inventory LOG --baseline CALM",
     "inventory LOG --baseline CALM --format csv",
     "inventory CALM --baseline LOG",

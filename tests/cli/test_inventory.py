@@ -77,11 +77,6 @@ def test_the_format_follows_the_name_of_the_output(mbtool: CommandLine, tmp_path
         assert (tmp_path / name).read_text().startswith(begin)
 
 
-def test_cyclonedx_is_chosen_by_the_option(mbtool: CommandLine) -> None:
-    data = json.loads(mbtool("inventory", FA3, "--format", "cyclonedx").out)
-    assert data["bomFormat"] == "CycloneDX"
-
-
 def test_the_same_as_the_baseline_is_exit_code_0(mbtool: CommandLine, tmp_path: Path) -> None:
     old = tmp_path / "old.json"
     mbtool("inventory", FA3, "-o", old)

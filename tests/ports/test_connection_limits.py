@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.ports.tcp_listener import DEFAULT_PER_SECOND, ConnectionRate
+from mbtool.core.limits import CONNECTIONS_PER_SECOND
+from mbtool.ports.tcp_listener import ConnectionRate
 
 
 def test_a_burst_of_one_second_passes_and_then_one_for_each_token() -> None:
@@ -27,6 +28,6 @@ def test_a_clock_that_goes_back_gives_nothing_and_takes_nothing() -> None:
     assert [rate.admits(at) for at in (10.0, 5.0, 6.0)] == [True, False, True]
 
 
-@pytest.mark.parametrize(("given", "used"), [(None, DEFAULT_PER_SECOND), (7.0, 7.0)])
+@pytest.mark.parametrize(("given", "used"), [(None, CONNECTIONS_PER_SECOND), (7.0, 7.0)])
 def test_the_default_is_used_if_the_user_gives_none(given: float | None, used: float) -> None:
     assert ConnectionRate(given).per_second == used

@@ -1,10 +1,10 @@
 """Writes the full screen to the terminal, and finds out if the terminal is gone."""
 
 # textual writes in a thread of its own. If a write raised an error there, the thread would end, its
-# queue of 30 texts would fill up, and the main thread would wait for ever until it takes the next
-# text. So a write that fails only notes that the terminal is gone. The queue fills up, too, while a
-# terminal takes nothing. So the terminal is opened once more, not to wait in a write, and when the
-# program is asked to end, what the terminal does not take is dropped.
+# queue of 30 texts would fill up, and the main thread would wait for ever for room in it. So a
+# write that fails only notes that the terminal is gone. The queue also fills up while a terminal
+# accepts nothing. So the terminal is opened a second time with O_NONBLOCK, and no write waits. Once
+# the program is asked to end, text that the terminal does not accept is dropped.
 
 from __future__ import annotations
 

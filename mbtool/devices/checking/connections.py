@@ -108,7 +108,7 @@ class ConnectionRules:
         request, so that no two requests were pending at the same time.
         """
         keys = [(one.link, one.source) for one in run.connections]
-        if not self._connections.keeps(keys):
+        if not self._connections.would_keep(keys):
             return False
         for key, one in zip(keys, run.connections, strict=True):
             known = self._connections.get(key) if one.opened_ns is None else None

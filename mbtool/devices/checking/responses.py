@@ -181,7 +181,7 @@ class ResponseRules:
             ):
                 return False
         connections = [(one.link, one.source) for one in run.connections]
-        return self._states.keeps(connections) and self._has_responded.has_room(units)
+        return self._states.would_keep(connections) and self._has_responded.has_room(units)
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
         """Check many answered reads together, with the same result as `transaction` for each.

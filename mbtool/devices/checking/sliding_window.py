@@ -101,7 +101,7 @@ class LruDict(Generic[K, V]):
         new = {key for key in keys if key not in self._entries}
         return len(self._entries) + len(new) <= self._limit
 
-    def keeps(self, keys: Collection[K]) -> bool:
+    def would_keep(self, keys: Collection[K]) -> bool:
         """True if no entry of these keys that is there can be removed while all of them are used,
         in any order and each several times.
         """

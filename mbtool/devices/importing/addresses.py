@@ -13,10 +13,10 @@ import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from mbtool.devices.importing.cells import DIGIT_TABLES, MAX_DIGITS, is_nothing
+from mbtool.devices.importing.cells import MAX_DIGITS, is_nothing
 from mbtool.devices.importing.options import AddressStyle
 from mbtool.devices.model import Radix
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import DIGIT_TABLES, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from mbtool.devices.importing.columns import fold
 from mbtool.devices.model import Access
 from mbtool.modbus.functions import FUNCTIONS
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import DIGIT_TABLES, Table
 
 NOTHING = frozenset(
     ("", "-", "--", "---", "\u2013", "\u2014", "n/a", "n.a.", "na", "none", "/", "null", "nil", "*")
@@ -118,12 +118,6 @@ _TABLE_WORDS = (
      r"|^reg(?:ister)?s?$|halte ?reg|ausgangs ?reg|registres? de maintien",
      Table.HOLDING_REGISTERS),
 )  # fmt: skip
-DIGIT_TABLES = {
-    "0": Table.COILS,
-    "1": Table.DISCRETE_INPUTS,
-    "3": Table.INPUT_REGISTERS,
-    "4": Table.HOLDING_REGISTERS,
-}
 _CODE = r"(?:0x[0-9a-f]{1,2}|[0-9a-f]{1,2}h|\d{1,2})(?![0-9a-z])"
 _FUNCTION = (
     r"(?:\b(?:fct?|fn|fkt|func(?:tion)?s?|funktion(?:en)?)(?: ?s?codes?)?\b\.?"

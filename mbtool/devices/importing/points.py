@@ -202,7 +202,7 @@ def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float]
     if kind is PointType.BIT:  # A bit is 0 or 1, whatever the list says.
         said = {"default": row.default}
     fits = dict.fromkeys(said, is_plain)
-    fits["default"] = is_plain and words == 1 and _is_default(row)
+    fits["default"] = is_plain and words == 1 and _has_usable_default(row)
     values = {key: value for key, value in said.items() if value is not None}
     return (
         {key: value for key, value in values.items() if fits[key]},
@@ -210,7 +210,7 @@ def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float]
     )
 
 
-def _is_default(row: ListRow) -> bool:
+def _has_usable_default(row: ListRow) -> bool:
     """True if a point can have the default value of the row.
 
     It must be a whole number from 0 to 7FFFH, and within the row's range.

@@ -205,7 +205,7 @@ class RowReader:
         unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
         places = self._number_of(Meaning.DECIMALS)
         decimals = int(places) if places is not None and 0 <= places <= 15 else None
-        is_float = type_ is not None and type_.type in (PointType.FLOAT32, PointType.FLOAT64)
+        is_float = type_ is not None and type_.type.is_float
         usual = 10.0**-decimals if decimals and not is_float else 1.0
         factors = [self._factor(Meaning.SCALE), self._factor(Meaning.DIVISOR)]
         said = [factor for factor in factors if factor is not None]

@@ -25,6 +25,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING
 
+from mbtool.core.limits import SLAVE_CONNECTIONS, SLAVE_IDLE_S
+
 if TYPE_CHECKING:
     from mbtool.modbus.response import ConnectionEnding
 
@@ -93,7 +95,7 @@ class ConnectionPolicy:
     closes_all = True
     """True if a device that accepts no connection for a while also closes all that are open."""
 
-    def __init__(self, places: int = 32, idle_s: float = 600.0) -> None:
+    def __init__(self, places: int = SLAVE_CONNECTIONS, idle_s: float = SLAVE_IDLE_S) -> None:
         self.places = places
         self.idle_s = idle_s
         """A connection is closed after this many seconds without a complete request."""

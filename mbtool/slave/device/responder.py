@@ -173,7 +173,8 @@ def _is_beyond(rule: FunctionRule, access: RegisterAccess) -> bool:
     return len(access.writes) > rule.write_limit
 
 
-# Passes each request to the right slave, where several slaves share a serial line or endpoint.
+# The code below passes each request to the right slave, where several slaves share a serial line or
+# endpoint.
 #
 # A responder is one device and answers requests for any unit. Units selects the responder for each
 # request, by the rules of the link:

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from mbtool.slave.device.image import RegisterImage
 
 _LOWEST, _HIGHEST = -0x8000, 0xFFFF
-_FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ class ValueTarget:
         """
         if self.point is None:
             return [self._stored(round(value))]
-        if self.point.type in _FLOATS or self.point.scale != 1 or self.point.offset:
+        if self.point.type.is_float or self.point.scale != 1 or self.point.offset:
             return self._encoded(self.point, value)
         return self._encoded(self.point, round(value))
 

@@ -153,7 +153,7 @@ class Fa3Connections(ConnectionPolicy):
         if not self.peers:
             self._linked(False)
 
-    def set_timers(self) -> None:
+    def note_timers_changed(self) -> None:
         """Note that a master may have changed the times in registers 00F2H-00F5H.
 
         These are the keep-alive times and the time in which all parts of a request must arrive; the
@@ -181,7 +181,7 @@ class Fa3Connections(ConnectionPolicy):
         return value if highest is None else min(value, int(highest))
 
 
-# Simulates the averaging and scaling of an analog input over time (FA3 modules).
+# The code below simulates the averaging and scaling of an analog input over time (FA3 modules).
 #
 # A simulated input keeps its value until it is set again. A real module converts the input every
 # CONVERSION_NS, and makes one of these of the converted values, as the channel's setting says:
@@ -364,7 +364,7 @@ class Fa3(Behaviour):
         before = self._non_volatile()
         super().store(table, span, values)
         if self._non_volatile() != before:
-            self.connections.set_timers()
+            self.connections.note_timers_changed()
             if self.keep is not None:
                 self.keep()
 

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 
 # The process image of a WAGO 750 coupler: where its inputs and outputs are read and written.
 #
-# Sources: the manuals named in wago.py. Functions 03 and 04 read the same registers, 01 and 02 the
-# same bits. Reads from 0000 on return inputs; writes from 0000 on set outputs, which are read back
-# at addresses 0200H higher. A second range works in the same way: registers written from 6000H on
-# are read back at 7000H, bits written from 3000H on at 4000H.
+# Sources: the manuals named in the module's head. Functions 03 and 04 read the same registers, 01
+# and 02 the same bits. Reads from 0000 on return inputs; writes from 0000 on set outputs, which are
+# read back at addresses 0200H higher. A second range works in the same way: registers written from
+# 6000H on are read back at 7000H, bits written from 3000H on at 4000H.
 #
 # The digital inputs and outputs can also be read and written in registers, behind all analog data.
 # Registers 1022H to 1025H give the sizes of the analog and digital outputs and inputs in bits. They

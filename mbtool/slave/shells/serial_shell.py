@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.modbus.response import Responder
 
-# Decides, for a slave that demands the standard's silences, which RTU requests get a response.
+# The code below decides, for a slave that demands the standard's silences, which RTU requests get a
+# response.
 #
 # Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
 # come before each message and after it, and no such silence is inside. A real slave takes all bytes

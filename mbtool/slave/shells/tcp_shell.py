@@ -33,6 +33,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Direction, Endpoint, TcpLink
+from mbtool.core.limits import SLAVE_CONNECTIONS, SLAVE_IDLE_S
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import MAX_TCP_ADU, MBAP_BYTES, Adu, Transport, mbap_adu
@@ -395,8 +396,8 @@ class Bounds:
     be without a request, and its number of pending responses.
     """
 
-    connections: int = 32
-    idle_s: float = 600.0
+    connections: int = SLAVE_CONNECTIONS
+    idle_s: float = SLAVE_IDLE_S
     waiting: int = 16
     """The most pending responses of a connection; 16 is the number in the TCP guide (V1.0b,
     4.3.2)."""

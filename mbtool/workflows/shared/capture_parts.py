@@ -118,7 +118,8 @@ class Seam:
         return is_alike and self._first_ns <= item.ts_ns < self._last_ns - BACK_NS
 
 
-# Counts missing data for remarks: cut packets, dropped requests, unreadable log messages.
+# The code below counts missing data for remarks: cut packets, dropped requests, unreadable log
+# messages.
 
 _Item = TypeVar("_Item")
 

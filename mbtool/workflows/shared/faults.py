@@ -57,7 +57,7 @@ def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
     return None
 
 
-# Switches simulated faults of a slave on and off while it runs.
+# The code below switches simulated faults of a slave on and off while it runs.
 #
 # The slave's thread calls `respond`; any other thread may call the other methods.
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, UsageError
 from mbtool.devices import Profile, parse_span
 from mbtool.modbus import FUNCTIONS, encode_pdu
-from mbtool.modbus.tables import READS_OF_TABLE, Table
+from mbtool.modbus.tables import DIGIT_TABLES, READS_OF_TABLE, Table
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 
 if TYPE_CHECKING:
@@ -42,12 +42,6 @@ WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in co
 
 _DIGITS = re.compile(r"(?:HR|IR|I|C)?([0134])(\d{4,5})", re.ASCII | re.IGNORECASE)
 _GLUED = re.compile(r"(hr|ir|di|co)(\d{1,5}|0x[0-9a-f]{1,4})", re.ASCII | re.IGNORECASE)
-_DIGIT_TABLES = {
-    "0": Table.COILS,
-    "1": Table.DISCRETE_INPUTS,
-    "3": Table.INPUT_REGISTERS,
-    "4": Table.HOLDING_REGISTERS,
-}
 _WORDS = {
     Table.COILS: "coil",
     Table.DISCRETE_INPUTS: "discrete",
@@ -175,7 +169,7 @@ class Wording:
             end = str(int(last[2]) - 1)
         elif dots:
             return text
-        return f"{_WORDS[_DIGIT_TABLES[digits[1]]]} {int(digits[2]) - 1}{dots}{end}"
+        return f"{_WORDS[DIGIT_TABLES[digits[1]]]} {int(digits[2]) - 1}{dots}{end}"
 
     def _code(self, text: str, table: Table, usual: Sequence[int]) -> int:
         """Return the function code that the user chose, or else the first of `usual`, the codes

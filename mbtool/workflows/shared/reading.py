@@ -30,7 +30,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.moments import counted
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
@@ -94,9 +94,9 @@ class Reading:
         self._serial_packets = 0
         """The number of packets read so far that contain bytes of a serial line."""
         self._has_found = False
+        """True once a transaction or event was found in the files."""
         self._foreign = 0
         """The number of events that tell of connections with another protocol."""
-        """True once a transaction or event was found in the files."""
         self._has_decoded = False
         """True once a transaction was found, or an event that does not report undecodable data."""
         self._first_undecodable: str | None = None

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError, WireEvent
-from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.limits import MODBUS_PORT
 from mbtool.devices import Assignment, Assignments, Who
 from mbtool.devices.sunspec_map import READ_HOLDING, SunSpecMap, mark_in
 from mbtool.sources.files import place_of
