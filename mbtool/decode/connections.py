@@ -393,8 +393,9 @@ class ConnectionDecoder:
         end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
-            # A request that is incomplete so far may acknowledge lost responses. These are reported
-            # once the request is complete, as requests lost before it have to be reported first.
+            # A segment with the beginning of a request may acknowledge lost responses. They are
+            # reported only when the request is complete, because requests lost before it must be
+            # reported first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part

@@ -1,9 +1,10 @@
-"""The one judgement: says what is wrong with what was heard, why, and what to do."""
+"""Makes the judgement: the list of troubles, with cause and remedy, for every command."""
 
-# Records (transactions, events, blocks of answered requests) go into the account (the room ledger)
-# and to the senses; broken rules come from the Checker (devices/checking). The judgement can be
-# asked for at any time. A trouble that another one is the cause of (`explains` in words.py) is left
-# out, and the same trouble of several units, links or masters is told as one.
+# Each record (a transaction, an event, or a block of answered requests) is counted in the account
+# (ledger/account.py) and given to the senses: classes that each find some kinds of troubles
+# (sense.py). Broken rules come from the Checker (devices/checking). The judgement can be asked for
+# at any time. It leaves out a trouble that another trouble causes (`explains` in words.py), and
+# joins the same trouble of several units, links or masters into one.
 #
 # Memory: that of the account and of the senses.
 

@@ -1,23 +1,24 @@
-"""LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS: bytes of a serial line that belong to no frame."""
+"""Finds LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS: bytes of a line that belong to no frame."""
 
 # LINE-BIAS      One constant byte (00H, FFH, or another one), alone or twice, stands before or
-#                behind many frames: the idle line floats, or a driver switches too early or late.
-#                It is told beside which frames. Beside those of all senders, bias is missing;
-#                beside those of one, its driver is switched at a wrong time.
-# LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, beside polls most
-#                of which are answered: another protocol shares the wires.
-# LINE-SETTINGS  For a while there is no frame with a right CRC, but many other bytes; or that is so
-#                all the time. Where polls are answered before or after, the settings changed, or
-#                other ones are used for that time. The settings are never called wrong while polls
-#                are answered, and not because of text. On a line with many damaged frames some
-#                follow each other by chance; a stretch is longer than that.
+#                after many frames: the idle line floats, or a driver switches too early or too
+#                late. The trouble names these frames. If they are frames of all senders, bias is
+#                missing. If they are frames of one sender, its driver switches at the wrong time.
+# LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, while most polls
+#                are answered: another protocol shares the wires. A piece is a series of bytes that
+#                is no frame.
+# LINE-SETTINGS  For a while, or all the time, no frame has a correct CRC, but many other bytes are
+#                on the line. If polls are answered before or after, the settings changed, or other
+#                ones were used for that time. Settings are never called wrong while polls are
+#                answered, nor because of readable text. On a line with many damaged frames several
+#                may come in a row by chance, so a longer stretch is needed there.
 #
-# False alarms: a broken cable gives some odd bytes, but not ENOUGH_BYTES of them; noise damages
-# some frames, but then polls are answered in between. Foreign frames that are seen rarely, or are
-# different each time, are not recognised.
+# False alarms: a broken cable gives some stray bytes, but not ENOUGH_BYTES of them. Noise damages
+# some frames, but polls are answered in between. Foreign frames that are rare, or always different,
+# are not recognised.
 #
-# Memory: numbers, HEADS first bytes of pieces and MAX_EVIDENCE cases of each kind for each of at
-# most MAX_LINKS links.
+# Memory: a few numbers, the first bytes of HEADS pieces, and MAX_EVIDENCE cases of each kind, for
+# each of at most MAX_LINKS links.
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What each kind of trouble is found by: a sense, which takes all records in order."""
+"""The base classes of senses: a sense takes all records in order and finds some kinds of troubles.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""The one table of words: for each kind of trouble its severity, cause and remedy."""
+"""The table of texts: severity, cause and remedy of each kind of trouble."""
 
 # docs/troubles.md has a section for each row, with a picture of the bytes or packets; a test
-# compares the two. In the templates, {who}, {link}, {count} and {of} are those of the Trouble; the
-# other names are its figures. The order of the rows is the order in which troubles of equal
-# severity are told.
+# compares the two. In the templates, {who}, {link}, {count} and {of} are fields of the Trouble; the
+# other names are its figures. Troubles of equal severity are listed in the order of the rows.
 
 from __future__ import annotations
 
