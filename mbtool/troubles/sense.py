@@ -1,5 +1,4 @@
-"""The base classes of senses: a sense takes all records in order and finds some kinds of troubles.
-"""
+"""The base classes of senses: a sense takes all records and finds some kinds of troubles."""
 
 from __future__ import annotations
 
