@@ -195,7 +195,7 @@ class MasterLink(ABC):
         until_ns = time.monotonic_ns() + wait_ns
         rest_ns = wait_ns
         while self._asked not in self.lost():
-            # Check once more after the timeout: this process may have been suspended.
+            # Read once more after the timeout, because this process may have been suspended.
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
             if rest_ns <= 0:
@@ -564,7 +564,8 @@ class SerialMaster(MasterLink):
         if not (between and other.polls):
             other.demand_free()
             return
-        # From here on a response must fit its request: others are probably the other master's.
+        # From now on a response must fit its request; other responses are probably for the other
+        # master.
         self._other = other
 
     def _listen(self, listen_ns: int | None) -> OtherMaster:
@@ -588,7 +589,8 @@ class SerialMaster(MasterLink):
         while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
             self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
-        # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
+        # Once a request was sent, the shortest pause may have been an exception: wait for a longer
+        # one.
         most_ns = self._other.longest_pause_ns
         if self._turns:
             most_ns = round(self._other.greatest_pause_ns * RELIABLE)
@@ -684,7 +686,7 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # A process that gets no processor also sees bytes that came after its wait was over.
+        # If this process had to wait for a processor, bytes may have come after the wait was over.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

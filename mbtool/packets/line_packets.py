@@ -11,7 +11,7 @@ back.
 # 10.0.0.L, port 20502; its slave UNIT is 10.0.L.UNIT, port 502. The UDP checksum is 0 (RFC 768:
 # none).
 #
-# Bytes that are no frame become packets of link type 250 (serial_packets.py) on another interface.
+# Bytes that are no frame become packets of link type 250 (RTAC_SERIAL) on another interface.
 #
 # These packets cannot hold everything, such as the times of single reads. The rest is written as
 # JSON into an option and a block for local use (pcapng: codes with the highest bit set, which other

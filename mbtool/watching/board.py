@@ -1,8 +1,8 @@
-"""Keeps what live views show beside the account: last transactions, values, events and findings."""
+"""Keeps what live views show besides statistics: last transactions, values, events, findings."""
 
-# Each record costs little (a test counts the calls): if a poll (repeated request) reads the same
-# values as last time, no point (named value) is touched, because the age of a point is the age of
-# its poll. Rows are made only when a view is drawn.
+# Each record costs little time (a test counts the calls): if a poll (repeated request) reads the
+# same values as last time, no point (named value) is changed, because the age of a point is the age
+# of its poll. Rows are made only when a view is drawn.
 #
 # Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_TROUBLES kinds
 # of events and findings, MAX_POLLS polls, and the account (ledger/account.py). A new record

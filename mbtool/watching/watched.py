@@ -1,8 +1,8 @@
 """Keeps the records for live views on two boards: all records, and those that pass a filter."""
 
-# A filter that is set later is applied to all records, if the caller still has them, else to those
-# that are kept here; from then on, records are added to both boards as they come. So figures under
-# a filter may lack the oldest transactions; `unfiltered` says how many.
+# A filter that is set later is applied to all records if the caller still has them, otherwise to
+# the records that are kept here. From then on, each new record is added to both boards. So figures
+# under a filter may lack the oldest transactions; `unfiltered` is their number.
 #
 # Memory: two boards (board.py), and MAX_MARKED marked records.
 

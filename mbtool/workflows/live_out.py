@@ -1,9 +1,9 @@
-"""Tells other programs what a recording hears: MQTT, metrics, and commands for troubles."""
+"""Reports the traffic of a recording to other programs: MQTT, metrics, commands for troubles."""
 
-# Recording waits neither for MQTT nor for metrics or commands: bytes are written to the log by
-# another thread, values are put where a thread of the publisher takes them, metrics are a text that
-# a thread hands out, and a command runs as a process of its own. Metrics and commands need the list
-# of troubles. It is computed at most once a second, and takes at most 1 / SHARE of the time.
+# The recording never waits for MQTT, metrics or commands. Another thread writes the bytes to the
+# log. A thread of the publisher takes the values and sends them by MQTT. A thread of the server
+# returns the text of the metrics. A command runs as a process of its own. Metrics and commands need
+# the list of troubles: it is computed at most once a second, and in at most 1 / SHARE of the time.
 
 from __future__ import annotations
 
@@ -237,7 +237,8 @@ class TroubleCommands:
             "MBTOOL_TEXT": trouble_text(trouble),
         }
         try:
-            # The user gave the line for the shell; what was heard is only in its environment.
+            # The user wrote `line` for a shell. Texts from a capture are only in its environment,
+            # so they cannot change the command.
             process = subprocess.Popen(
                 line,
                 shell=True,
