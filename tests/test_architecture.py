@@ -91,7 +91,7 @@ FIELD_NUMBERS = {
     "0x17": "modbus/functions.py:READ_WRITE_REGISTERS",
     "0x80": "modbus/functions.py:EXCEPTION_BIT",
     "247": "core/limits.py:LAST_UNIT",
-    "502": "core/link_spec.py:MODBUS_PORT",
+    "502": "core/limits.py:MODBUS_PORT",
 }
 """Numbers of the field as they are written, and the one constant that each is."""
 EQUAL_BY_CHANCE = {"logs/layout.py:PRIVATE", "packets/link_layer.py:_HAS_QOS"}

@@ -80,6 +80,15 @@ def check(
             "time is in ms, s, min or h. docs/findings.md lists the defaults. Repeatable.",
         ),
     ] = None,
+    baseline: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--baseline",
+            metavar="GOOD",
+            help="A capture or log of a time when all was well: what values do there is usual, "
+            "too. Repeatable.",
+        ),
+    ] = None,
     format_: Annotated[
         CheckFormat | None,
         typer.Option(
@@ -114,23 +123,28 @@ def check(
     from mbtool.cli.output_file import is_old
     from mbtool.cli.output_path import chosen_format, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible
+    from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
     from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
-    files = named_files(files)
+    files, baseline = named_files(files), named_files(baseline or ())
     options = source.read(device, raw=raw, silences=silences)
     codes = CodeFilter.parse(select or (), ignore or ())
     window = TimeWindow.parse(start, end)
     run = CheckRun(files, options, codes, SecurityLimits.parse(limit or ()), window)
     run.demand_codes()
-    demand_other_file(files, output)
+    demand_other_file([*files, *baseline], output)
     path = named_file(output)
     chosen = chosen_format(format_, path, _SUFFIXES, CheckFormat.TABLE)
     broken: InputError | None = None
+    if baseline:
+        with interruption_told():
+            run.reading.demand_files()
+            for remark in run.learn(baseline, with_progress):
+                say(remark)
     stays = is_old(path)
     with (
         verdict_kept(lambda: run.is_anything_wrong),

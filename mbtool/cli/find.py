@@ -154,6 +154,7 @@ def _find_in_files(
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
+    from mbtool.values.finding import LIKELY
     from mbtool.values.sightings import parse_time
     from mbtool.views.found_places import changed_document, found_document
     from mbtool.workflows.find import FindRun
@@ -183,7 +184,7 @@ def _find_in_files(
     elif finder.first_ns:
         wanted = run.wanted(seen)
         found = finder.places(wanted)
-        is_found = all(places and places[0].likelihood >= 0.5 for places in found)
+        is_found = all(places and places[0].likelihood >= LIKELY for places in found)
         if as_json:
             typer.echo(json.dumps(found_document(wanted, found), indent=2))
         else:

@@ -34,6 +34,7 @@ def find_live(
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Assignments
+    from mbtool.values.finding import LIKELY
     from mbtool.values.sightings import parse_seen
     from mbtool.workflows.find import LiveFinder
     from mbtool.workflows.sniff import serial_lines, with_settings
@@ -73,7 +74,7 @@ def find_live(
     found = live.places()
     if keep is not None:
         keep_places(live.finder, live.wanted, found, keep, ", ".join(sources))
-    if not all(places and places[0].likelihood >= 0.5 for places in found):
+    if not all(places and places[0].likelihood >= LIKELY for places in found):
         from mbtool.cli import exit_codes
 
         raise typer.Exit(exit_codes.NO)

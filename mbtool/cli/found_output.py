@@ -54,7 +54,7 @@ def keep_places(
     keep: str,
     file: str,
 ) -> None:
-    """Write the most likely place of each number as a point of a profile."""
+    """Write the most likely place of each number as a point of a profile, if it is likely."""
     from pathlib import Path
 
     from mbtool.cli.profile_files import write
@@ -65,11 +65,16 @@ def keep_places(
     from mbtool.devices.loading import profile_from_toml
     from mbtool.devices.profile_template import name_for
     from mbtool.values.draft import draft_profile
+    from mbtool.values.finding import LIKELY
     from mbtool.values.keeping import point_of, with_points
 
     best = [(one, places[0]) for one, places in zip(wanted, found, strict=True) if places]
+    for one, place in best:
+        if place.likelihood < LIKELY:
+            say(f"mbtool: {one.name or point_of(one, place)[0].name} is not kept: {_doubt(place)}")
+    best = [(one, place) for one, place in best if place.likelihood >= LIKELY]
     if not best:
-        say(f"mbtool: nothing was found, so {keep} is not written")
+        say(f"mbtool: nothing is likely enough, so {keep} is not written")
         return
     slaves = {place.slave for _, place in best}
     if len(slaves) > 1:
@@ -87,7 +92,15 @@ def keep_places(
         slave = finder.slave_of(next(iter(slaves)))
         text = draft_profile(slave, name_for(keep), file, known).text
         write(keep, text, overwrite=False)
-    for (_, place), (point, _) in zip(best, known, strict=True):
-        if place.likelihood < 0.5:
-            say(f"mbtool: {point.name}: only {place.likelihood:.0%} likely; look again later")
     say(f"{counted(len(known), 'point')} -> {keep}")
+
+
+def _doubt(place: FoundPlace) -> str:
+    """Why a place is not likely, and what to do."""
+    if place.outside:
+        never = f"{place.outside[0]:g}"
+        return (
+            f"the registers never had {never} in the recording; record while the display shows it, "
+            f"and give the time: {never}@TIME"
+        )
+    return f"its best place is only {place.likelihood:.0%} likely; give the number again, later"

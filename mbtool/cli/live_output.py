@@ -1,9 +1,9 @@
 """Prints the records of a live recording without waiting for the reader of the output."""
 
 # Text goes through a queue (view_queue.py). While the queue is full, whole rows are left out and
-# counted; the number is printed before the next row. If the reader closes the output, as `head`
-# does, and a log keeps the records, the recording goes on; without a log it ends with
-# BrokenPipeError.
+# counted; the number is printed before the next row. If the output takes no more text, as its
+# reader has closed it (`head` does) or the disk is full, and a log keeps the records, the recording
+# goes on; without a log it ends with BrokenPipeError or OutputError.
 
 from __future__ import annotations
 
@@ -53,6 +53,8 @@ class LiveOutput(RecordOutput):
         self._is_kept = is_kept
         self._is_hurried = is_hurried
         self._has_reader = not is_silent
+        self.has_failed = False
+        """True if the output could not be written, and not because its reader had closed it."""
         self._not_shown = 0
         """Number of records left out since the last printed record, as the reader was too slow."""
 
@@ -86,10 +88,10 @@ class LiveOutput(RecordOutput):
             say(f"mbtool: {self._name} takes no text, so the last rows are not shown")
 
     def _write(self, *writes: Callable[[], None]) -> None:
-        """Call the functions `writes`, unless the reader has closed the output.
+        """Call the functions `writes`, unless the output takes no more text.
 
-        If the reader closes the output now, the recording goes on if a log keeps the records; else
-        the error is raised: BrokenPipeError, or OutputError if a terminal was closed.
+        If it fails now, the recording goes on if a log keeps the records; else the error is raised:
+        BrokenPipeError, or OutputError if a terminal was closed or a disk is full.
         """
         if not self._has_reader:
             return
@@ -100,10 +102,12 @@ class LiveOutput(RecordOutput):
         except (BrokenPipeError, OutputError) as error:
             # A closed terminal gives EIO instead of EPIPE.
             is_gone = isinstance(error, BrokenPipeError) or _number(error) == errno.EIO
-            if not self._is_kept or not is_gone:
+            if not self._is_kept:
                 raise
             self._has_reader = False
-            say(f"mbtool: nobody reads {self._name} any more; the recording goes on")
+            self.has_failed = not is_gone
+            why = f"nobody reads {self._name} any more" if is_gone else str(error)
+            say(f"mbtool: {why}; the recording goes on")
 
 
 def _number(error: OutputError) -> int | None:

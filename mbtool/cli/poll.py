@@ -18,12 +18,15 @@ if TYPE_CHECKING:
 
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.talk import Interrupt
-    from mbtool.devices import PointValue, Profile
+    from mbtool.core import WireEvent
+    from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.views.polled_values import PolledValues
     from mbtool.workflows.ask import Asker, Changes, PollTally
 
 _LEAST_NS = 1_000_000
 _MOST_NS = 365 * 86_400 * 10**9
+_LISTEN_NS = 1_000_000_000
+"""Where another master left no pause, it is heard for this time (ns) before the next attempt."""
 
 
 @takes_groups
@@ -108,6 +111,8 @@ class Polling:
         self.profile: Profile | None = None
         self._round: dict[bytes, list[PointValue]] = {}
         self._round_ns = 0
+        self._waits = False
+        """True once the user was told that a request waits for a pause of another master."""
 
     def run(self, interrupt: Interrupt, period_ns: int, count: int | None) -> None:
         """Send all requests once in each round, until Ctrl-C or for `count` rounds.
@@ -120,8 +125,7 @@ class Polling:
         rounds = 0
         while not interrupt.asked and rounds != count:
             for pdu in self._requests:
-                if not interrupt.asked:
-                    self._ask(pdu)
+                self._send(pdu, interrupt)
             self._out.wait()
             if self.values is not None and self._round_ns:
                 _write(self.values.lines(self._round_ns, self._round))
@@ -134,11 +138,37 @@ class Polling:
         if self.values is not None:
             _write(self.values.rest())
 
-    def _ask(self, pdu: bytes) -> None:
+    def _send(self, pdu: bytes, interrupt: Interrupt) -> None:
+        while not interrupt.asked:
+            if self._ask(pdu):
+                return
+
+    def _ask(self, pdu: bytes) -> bool:
+        """Send a request, and print its transaction; False if another master leaves no pause for
+        it, though it left one before.
+        """
+        from mbtool.cli.talk import say
+        from mbtool.master.other_master import NoPauseError
+
+        try:
+            transaction, events = self._asker.ask(pdu)
+        except NoPauseError as error:
+            if not self._tally.outcomes:
+                raise
+            if not self._waits:
+                say(f"mbtool: {error}. It waits until there is one")
+                self._waits = True
+            self._asker.listen(_LISTEN_NS)
+            return False
+        self._tally.add(transaction)
+        self._print(pdu, transaction, events)
+        return True
+
+    def _print(
+        self, pdu: bytes, transaction: NamedTransaction, events: Sequence[WireEvent]
+    ) -> None:
         from mbtool.workflows.ask import points_of
 
-        transaction, events = self._asker.ask(pdu)
-        self._tally.add(transaction)
         if self.values is not None:
             self._round_ns = self._round_ns or transaction.start_ns
             if transaction.response_values is not None:

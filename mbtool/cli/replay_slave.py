@@ -190,7 +190,6 @@ def _say_counts(played: PlayedSite) -> None:
 
 def _kinds_text(lacking: Counter[RequestKind], profile_of: Mapping[int, Profile]) -> str:
     """Return the requests that came and were never recorded, those that came most often first."""
-    units = {kind.unit for kind in lacking}
     texts = []
     for kind, count in lacking.most_common(_MOST_KINDS):
         table = FUNCTIONS[kind.code].table if kind.code in FUNCTIONS else None
@@ -200,7 +199,7 @@ def _kinds_text(lacking: Counter[RequestKind], profile_of: Mapping[int, Profile]
             is_write = FUNCTIONS[kind.code].writes
             where = write_reference(profile, table, kind.address, kind.quantity, writing=is_write)
             what = f" {where}"
-        unit = f"unit {kind.unit} " if len(units) > 1 else ""
-        texts.append(f"{unit}{kind.code:02X}{what} ({counted(count, 'time', ',')})")
+        times = counted(count, "time", ",")
+        texts.append(f"unit {kind.unit} {kind.code:02X}{what} ({times})")
     more = len(lacking) - len(texts)
     return "; ".join(texts) + (f"; and {counted(more, 'other request', ',')}" if more else "")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.live_out_options import LiveOutOptions
 from mbtool.cli.log_options import LogOptions
@@ -172,6 +173,8 @@ def sniff(
             say_troubles(judged.judgement())
         if begin is not None:
             say(f"log: {log.place()}")
+    if isinstance(out, LiveOutput) and out.has_failed:
+        raise typer.Exit(exit_codes.UNREADABLE)
     if interrupt.asked:
         raise Interrupted
 

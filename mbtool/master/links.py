@@ -178,6 +178,9 @@ class MasterLink(ABC):
         speaks with other settings.
         """
 
+    def listen(self, time_ns: int) -> None:  # noqa: B027 - TCP: nothing to do
+        """Hear another master of the line for a time (ns), to learn the pauses that it leaves."""
+
     def _await_turn(self, unit: int, pdu: bytes) -> int:
         """Wait until `exchange` may send this request; return how long, in ns, to wait for its
         response.
@@ -614,6 +617,11 @@ class SerialMaster(MasterLink):
         self._other.note_our_request()
         self._turns += 1
         return wait_ns
+
+    def listen(self, time_ns: int) -> None:
+        until_ns = time.monotonic_ns() + time_ns
+        while self._other is not None and time.monotonic_ns() < until_ns:
+            self._overhear_other()
 
     def _overhear_other(self) -> None:
         assert self._other is not None

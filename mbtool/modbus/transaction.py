@@ -29,7 +29,7 @@ def about(
     """Describe a field of a transaction.
 
     `text` says in JSON schemas what it is. `csv` and `table` are its places among the columns of
-    CSV and Parquet, counted from 0. They never change, so a new field has none: it comes last.
+    CSV and Parquet, counted from 0. They never change; a new field gets the next number.
     `bits` is the size in Parquet of a number that has no greatest value.
     """
     return msgspec.Meta(description=text, extra={"csv": csv, "table": table, "bits": bits})

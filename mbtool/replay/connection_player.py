@@ -10,8 +10,8 @@
 #                               earlier (the slave made room for it); the end of another connection
 #                               by the slave, at most TOGETHER_NS earlier
 #     it refused connections    the latest beginning or end of a connection before the first
-#                               refusal; it refuses until halfway between the last refusal and the next
-#                               connection that it accepted
+#                               refusal; it refuses until halfway between the last refusal and the
+#                               next connection that it accepted
 #
 # A slave that did not answer a SYN cannot be played, because the system answers the SYN: such a
 # connection is accepted, and its requests get no answer. Refusals before the first connection are

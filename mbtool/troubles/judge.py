@@ -161,6 +161,14 @@ class Judge:
         for sense in self._senses:
             sense.begin_capture()
 
+    def become_norm(self) -> None:
+        """Take the captures that follow as a baseline, by whose values others are judged."""
+        self._values.become_norm()
+
+    def judge_by(self, norm: Judge) -> None:
+        """Judge the values of the captures that follow by those of a baseline as well."""
+        self._values.judge_by(norm._values)
+
     def end_capture(self) -> Iterator[Finding]:
         """Yield the findings that are known only at the end of the present capture."""
         checker, self._checker = self._checker, None

@@ -14,7 +14,8 @@ K = TypeVar("K")
 
 SLOW = 3
 """A unit is slow if its median latency is at least this many times the usual one. The usual one is
-the median of the other units' median latencies. The latency must also be at least SLOW_NS."""
+the median latency of another unit, which most of the others do not exceed. The latency must also be
+at least SLOW_NS."""
 SLOW_NS = 50_000_000
 """The least median latency of a slow unit, in ns. Below, devices differ by their kind: many answer
 within 5 ms, many others within 40 ms."""
@@ -34,11 +35,11 @@ def are_many(slow: int, units: int) -> bool:
     return slow >= _MANY and slow > units * _FEW
 
 
-def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
+def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, int]:
     """Find the slow units; `latencies` has the latencies of each unit.
 
-    The result has the slow units as keys. The values are the medians (ns) of the other units'
-    median latencies, for comparison.
+    The result has the slow units as keys. The value is the median latency (ns) of another unit,
+    which most of the other units do not exceed.
     """
     medians = {
         unit: one.percentile(50) for unit, one in latencies.items() if one.count >= ENOUGH_ANSWERS
@@ -46,18 +47,15 @@ def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
     in_order = sorted(medians.values())
     slow = {}
     for unit, own in medians.items():
-        usual = _middle_without(in_order, bisect_left(in_order, own))
+        usual = _most_without(in_order, bisect_left(in_order, own))
         if usual and own >= max(SLOW * usual, SLOW_NS):
             slow[unit] = usual
     return slow
 
 
-def _middle_without(in_order: list[int], left_out: int) -> float:
-    """The median of sorted numbers without the one at index `left_out`; 0 if there is no other
-    number.
+def _most_without(in_order: list[int], left_out: int) -> int:
+    """Return the number that most of the sorted numbers do not exceed, without the one at index
+    `left_out`; 0 if there is no other number.
     """
-    count = len(in_order) - 1
-    if not count:
-        return 0
-    below, above = (count - 1) // 2, count // 2
-    return sum(in_order[at + (at >= left_out)] for at in (below, above)) / 2
+    others = in_order[:left_out] + in_order[left_out + 1 :]
+    return others[len(others) // 2] if others else 0

@@ -129,7 +129,8 @@ class Trouble:
 
         If others have the same trouble, it is that of the worst one, and the number of the others.
         """
-        text = self.words.cause.format(**self._figures()) + self.when
+        cause = self.words.cause
+        text = cause.format(**self._figures()) + ("" if "{when}" in cause else self.when)
         if not self.others:
             return text
         return f"{text}; {counted(len(self.others), f'more {self.words.noun}', ',')} likewise"
@@ -184,7 +185,12 @@ class Trouble:
         return f" until {until}" if since is None else f" from {since} to {until}"
 
     def _figures(self) -> dict[str, str]:
-        figures = {"who": self.who, "link": self.link, "count": f"{self.count:,}"}
+        figures = {
+            "who": self.who,
+            "link": self.link,
+            "count": f"{self.count:,}",
+            "when": self.when,
+        }
         return {**figures, "of": f"{self.of:,}", **self.figures}
 
 

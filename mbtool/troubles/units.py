@@ -91,11 +91,12 @@ class _JudgedUnit:
             since_ns=share.since_ns,
             until_ns=share.until_ns,
             is_long=share.is_long,
-            is_small=not (share.is_grave or never),
+            is_small=not (share.is_grave or (never and share.failed > 1)),
             weight=share.failed if never else share.share,
             search=_SEARCH[code],
             figures={
                 "requests": _requests(share),
+                "part": _part_text(share),
                 "percent": percent(share.share),
                 "check": _CHECK_LINE if self.is_serial else _CHECK_NETWORK,
                 "look": _LOOK_LINE if self.is_serial else _LOOK_NETWORK,
@@ -143,7 +144,7 @@ def _failures(unit: _JudgedUnit) -> Iterator[Trouble]:
         if lacking:
             requests = f"{requests}, and {lacking:,} not captured whole"
         if are_damaged(tally):
-            yield unit.trouble("UNIT-BAD-CRC", share, requests="all its requests")
+            yield unit.trouble("UNIT-BAD-CRC", share, requests="all its requests", part="")
         else:
             yield unit.trouble("UNIT-SILENT", share, requests=requests)
         return
@@ -159,14 +160,15 @@ def _refusal(unit: _JudgedUnit) -> Trouble | None:
     share = refused_share(unit.tally, unit.times)
     if share is None:
         return None
-    requests = _requests(share)
+    requests, part = _requests(share), _part_text(share)
     refused = always_refused(unit.polls, unit.tally)
     if refused:
         # The trouble has no beginning if the unit refuses the request each time.
         share = share._replace(since_ns=None, until_ns=None)
-        requests = _named(refused, unit)
+        requests, part = _named(refused, unit), ""
     codes, advice = _codes(unit.tally)
-    return unit.trouble("UNIT-REFUSES", share, requests=requests, codes=codes, advice=advice)
+    figures = {"requests": requests, "part": part, "codes": codes, "advice": advice}
+    return unit.trouble("UNIT-REFUSES", share, **figures)
 
 
 def _named(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
@@ -211,9 +213,10 @@ def exception_text(code: int, name: str) -> str:
 def _scan(joint: JointRefusals, link: str) -> Trouble:
     some = f"{joint.units} of {joint.of}" if joint.units < joint.of else f"all {joint.of}"
     refused, asked = joint.tally.count(Outcome.EXCEPTION), joint.tally.requests
+    total = FailedShare(refused, asked)
     figures = {
         "units": f"{some} units",
-        "requests": _requests(FailedShare(refused, asked)).replace("its", "their"),
+        "requests": _requests(total).replace("its", "their") + _part_text(total),
         "codes": _codes(joint.tally).text,
         "different": f"{joint.scanned:,}",
         "by": f" by {joint.master}" if joint.master else "",
@@ -270,8 +273,13 @@ def _ms(ns: float) -> str:
 
 
 def _requests(share: FailedShare) -> str:
-    """Return `all its requests (12)`, `26 % of its requests (5 of 19)` or `3 of its requests`."""
+    """Return `all its 12 requests`, `its only request` or `3 of its 19 requests`."""
     if share.failed >= share.asked:
-        return f"all its requests ({share.failed:,})"
-    number = f"{share.failed:,} of its {share.asked:,} requests"
-    return f"{number} ({percent(share.share)})" if share.share >= FEW else number
+        return "its only request" if share.failed == 1 else f"all its {share.failed:,} requests"
+    return f"{share.failed:,} of its {share.asked:,} requests"
+
+
+def _part_text(share: FailedShare) -> str:
+    """Return ` (26 %)`, to be put behind the requests; empty for all of them, or hardly any."""
+    is_told = FEW <= share.share < 1
+    return f" ({percent(share.share)})" if is_told else ""

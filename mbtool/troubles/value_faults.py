@@ -2,7 +2,8 @@
 
 The numbers in the registers of each poll are followed over the whole recording
 (values/movements.py). The profile names the numbers; without a profile, their types are judged from
-the values. These rules compare each number with its own usual behaviour:
+the values. These rules compare each number with its own usual behaviour, in this recording and in a
+baseline recording, if there is one:
 
 - VALUE-STUCK: the number moved, then stays the same for much longer than ever before, while other
   numbers in the same answer move on. A number may rest at 0 or at a round value, and a counter may
@@ -23,12 +24,17 @@ Registers that a master writes, and ambiguous frames, are left out.
 # can do the same once (such as a lamp that is switched on for a moment), so the troubles have the
 # sureness `likely`.
 #
+# With a baseline, the figures of each poll continue from a copy of the baseline's figures, as after
+# a pause of the polling. Faults in the baseline itself are not reported, except values that the
+# profile forbids.
+#
 # Memory: MAX_POLLS polls, with BATCH words or LEARNT answers each; some hundred bytes for each
 # number; MAX_JUDGED registers whose types are judged.
 
 from __future__ import annotations
 
 from array import array
+from copy import deepcopy
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -108,6 +114,10 @@ _CODES = (
 )  # fmt: skip
 
 
+_OF_PROFILE = ("VALUE-RANGE", "VALUE-NOT-VALID")
+"""The troubles that a profile knows."""
+
+
 class _Key(NamedTuple):
     link: str
     unit: int
@@ -143,6 +153,15 @@ class _FollowedAnswers:
         self.rested = 0
         """The number of answers that were dropped, as nothing moved in them."""
         self.is_left_out = False
+        self.norm_ns: tuple[int, int] | None = None
+        """The times (UTC ns) of the first and last answer of the baseline; None without one."""
+
+    def span_ns(self) -> tuple[int, int] | None:
+        """The times (UTC ns) of the first and last answer; None if there is none."""
+        times = self.times.tolist()
+        if self.movements is not None:
+            times = [self.movements.first_ns, self.movements.last_ns, *times]
+        return (min(times), max(times)) if times else None
 
 
 class ValueFaults(Sense):
@@ -150,6 +169,11 @@ class ValueFaults(Sense):
 
     def __init__(self, assignments: Assignments) -> None:
         self._assignments = assignments
+        self._norm: ValueFaults | None = None
+        """The values of the baseline."""
+        self._is_norm = False
+        self._lines: set[str] = set()
+        """The serial lines whose values were seen."""
         self._found: list[Trouble] = []
         """The troubles of earlier captures."""
         self._polls: dict[_Key, _FollowedAnswers] = {}
@@ -160,10 +184,21 @@ class ValueFaults(Sense):
         """Units of which not all written registers are known, so that nothing is told of them."""
         self._judged = 0
 
+    def judge_by(self, norm: ValueFaults) -> None:
+        """Judge the captures that follow by the values that `norm` has seen as well."""
+        self._norm = norm
+
+    def become_norm(self) -> None:
+        """Join the captures that follow: they are a baseline, and no trouble is told of them."""
+        self._is_norm = True
+
     def begin_capture(self) -> None:
+        if self._is_norm:
+            return
         self._found = list(self.troubles(()))
         self._polls.clear()
         self._like.clear()
+        self._lines.clear()
         self._written.clear()
         self._much_written.clear()
         self._judged = 0
@@ -184,6 +219,8 @@ class ValueFaults(Sense):
         key = _Key(one.link, one.unit, one.function, one.address, len(values))
         poll = self._polls.get(key)
         if poll is None:
+            if one.transport.is_serial and len(self._polls) < MAX_POLLS:
+                self._lines.add(one.link)
             poll = self._new_poll(key)
             if one.device is not None and key in self._polls:
                 self._like[key] = one
@@ -217,10 +254,28 @@ class ValueFaults(Sense):
 
     def _new_poll(self, key: _Key) -> _FollowedAnswers:
         poll = _FollowedAnswers()
-        poll.is_left_out = not 0 < key.quantity <= 2000
         if len(self._polls) < MAX_POLLS:
+            polls = {} if self._norm is None else self._norm._polls
+            known = polls.get(key._replace(link=self._norm_link(key.link)))
+            if known is not None:
+                poll = deepcopy(known)
+                poll.norm_ns = known.span_ns()
             self._polls[key] = poll
+        poll.is_left_out |= not 0 < key.quantity <= 2000
         return poll
+
+    def _norm_link(self, link: str) -> str:
+        """The name of a link in the baseline.
+
+        The name of a serial line is that of a port or file, so the only one here is the only one
+        there.
+        """
+        there = set() if self._norm is None else self._norm._lines
+        return (
+            next(iter(there))
+            if len(there) == len(self._lines) == 1 and link in self._lines
+            else link
+        )
 
     def _take(self, key: _Key, poll: _FollowedAnswers) -> None:
         """Add the answers that wait to the figures of their poll, if they are many."""
@@ -298,22 +353,26 @@ class ValueFaults(Sense):
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         yield from self._found
-        units: dict[tuple[str, int], list[tuple[Table, Movements]]] = {}
+        units: dict[tuple[str, int], list[tuple[Table, Movements, _FollowedAnswers]]] = {}
         for key, poll in self._polls.items():
             table, movements = FUNCTIONS[key.function].table, self._movements(key, poll)
             if table is not None and movements is not None:
-                units.setdefault((key.link, key.unit), []).append((table, movements))
+                units.setdefault((key.link, key.unit), []).append((table, movements, poll))
         for (link, unit), own in units.items():
             cases = [
                 (table, movements, case)
-                for table, movements in own
-                for case in _cases(movements, [one for _, one in own if one is not movements])
+                for table, movements, poll in own
+                for case in _cases(movements, [one for _, one, _ in own if one is not movements])
+                if not _is_of_norm(case, poll.norm_ns)
             ]
             # Report one fault for each register. Several polls may show the same one.
             cases.sort(key=lambda one: _CODES.index(one[2].code))
             if (link, unit) in self._much_written:
                 continue
             taken = {each[2:] for each in self._written if each[:2] == (link, unit)}
+            if self._norm is not None:
+                there = self._norm_link(link), unit
+                taken |= {each[2:] for each in self._norm._written if each[:2] == there}
             by_code: dict[str, list[tuple[Movements, _Case]]] = {}
             for table, movements, case in cases:
                 first = case.value.address
@@ -323,6 +382,14 @@ class ValueFaults(Sense):
                     by_code.setdefault(case.code, []).append((movements, case))
             for code, some in by_code.items():
                 yield _trouble(link, unit, code, some)
+
+
+def _is_of_norm(case: _Case, norm_ns: tuple[int, int] | None) -> bool:
+    """True if something happened in the baseline, so that it is usual."""
+    if norm_ns is None or case.code in _OF_PROFILE:
+        return False
+    at_ns = case.until_ns if case.code == "VALUE-STUCK" else case.at_ns
+    return at_ns is not None and norm_ns[0] <= at_ns <= norm_ns[1]
 
 
 def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case]]) -> Trouble:

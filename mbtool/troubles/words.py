@@ -1,8 +1,9 @@
 """The table of texts: severity, cause and remedy of each kind of trouble."""
 
 # docs/troubles.md has a section for each row, with a picture of the bytes or packets; a test
-# compares the two. In the templates, {who}, {link}, {count} and {of} are fields of the Trouble; the
-# other names are its figures. Troubles of equal severity are listed in the order of the rows.
+# compares the two. In the templates, {who}, {link}, {count}, {of} and {when} are fields of the
+# Trouble; the other names are its figures. If a cause has no {when}, it is added at the end.
+# Troubles of equal severity are listed in the order of the rows.
 
 from __future__ import annotations
 
@@ -202,25 +203,25 @@ _ROWS = (
     ),
     Words(
         "UNIT-BAD-CRC", _E,
-        "{who} answers {requests} with a wrong CRC",
+        "{who} answers {requests}{when}{part} with a wrong CRC",
         "check the cable, shield, termination and ground to this unit, and its baud rate",
         "unit", "{percent} wrong CRC", ("RTU-201", "MB-401", "MB-402"),
     ),
     Words(
         "UNIT-MISSING", _E,
-        "{who} leaves {requests} without an answer",
+        "{who} leaves {requests}{when}{part} without an answer",
         "{look}; see what was sent before each case",
         "unit", "{percent} unanswered", ("MB-401", "MB-402"),
     ),
     Words(
         "UNIT-MALFORMED", _E,
-        "{who} gives {requests} a malformed answer",
+        "{who} gives {requests}{when}{part} a malformed answer",
         "ask the maker of the device; what it sends does not have the form of the function",
         "unit", "{percent} malformed", ("MB-202", "MB-203"),
     ),
     Words(
         "UNIT-REFUSES", _W,
-        "{who} refuses {requests}, {codes}",
+        "{who} refuses {requests}{when}{part}, {codes}",
         "{advice}",
         "unit", "{percent} refused",
     ),
@@ -232,7 +233,7 @@ _ROWS = (
     ),
     Words(
         "UNIT-SLOW", _W,
-        "{who} is slow: half of its answers take {median} or more, those of the others {usual}",
+        "{who} is slow: half of its answers take {median} or more, those of most others {usual} or less",
         "give it a time-out of its own, poll it more rarely, or ask less in one request",
         "unit", "slow, {median}",
     ),

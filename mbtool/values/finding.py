@@ -9,6 +9,9 @@
 # - without: with the values of the whole recording, and a little beyond them, since the user may
 #   have seen the number shortly before or after it.
 #
+# If a register never had the number in the recording, it is less than half likely, even if no other
+# register comes near: a user seldom saw the number just before or after the recording.
+#
 # The more values a register takes, the less probable is each of them. So a constant that matches by
 # chance and a noisy value compete fairly, and a second sighting decides between them. The
 # probabilities of several sightings of one display are multiplied.
@@ -43,6 +46,8 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 100
 """At most this many places are returned for a number."""
+LIKELY = 0.5
+"""A place is the answer if it is at least as likely as this."""
 NOWHERE = 1e-5
 """The greatest probability (0 to 1) of seeing a number that is in no register."""
 _NOWHERE_OF_ITS_SIZE = 0.01
@@ -76,6 +81,8 @@ _MOST_IDEAS = 200
 """So many ideas of each number are balanced with those of the others."""
 _ROUNDS = 12
 _STRIDE_ROUNDS = 3
+_OUTSIDE = 0.45
+"""The factor (0 to 1) for registers that never had the number in the recording."""
 _MOST_STRIDES = 12
 """So many places of each number are looked at for equal distances."""
 
@@ -123,6 +130,8 @@ class FoundPlace:
     low: float
     high: float
     """The least and the greatest value in the recording, with the scale."""
+    outside: tuple[float, ...] = ()
+    """The numbers seen that the registers never had in the recording."""
 
     @property
     def scale(self) -> float:
@@ -165,21 +174,39 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
         scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
     shares = _balanced(scores, nowhere, ideas)
     return [
-        [
-            FoundPlace(
-                slave=ideas[place].slave.slave,
-                table=ideas[place].history.table,
-                address=ideas[place].address,
-                reading=ideas[place].reading,
-                power=power,
-                likelihood=share,
-                low=scaled(ideas[place].low, power),
-                high=scaled(ideas[place].high, power),
-            )
-            for (place, power), share in sorted(own.items(), key=lambda each: -each[1])[:MOST_SHOWN]
-        ]
-        for own in shares
+        sorted(
+            (
+                _place(one, ideas[place], power, share)
+                for (place, power), share in nlargest(
+                    MOST_SHOWN, own.items(), key=lambda each: each[1]
+                )
+            ),
+            key=lambda each: -each.likelihood,
+        )
+        for one, own in zip(wanted, shares, strict=True)
     ]
+
+
+def _place(one: Wanted, idea: _Idea, power: int, share: float) -> FoundPlace:
+    low, high = scaled(idea.low, power), scaled(idea.high, power)
+    lag = 2 * scaled(idea.step, power)
+    outside = [
+        seen.value
+        for seen in one.sightings
+        if max(low - seen.value, seen.value - high)
+        > 1.001 * seen.tolerance + (0 if seen.at_ns is None else lag)
+    ]
+    return FoundPlace(
+        slave=idea.slave.slave,
+        table=idea.history.table,
+        address=idea.address,
+        reading=idea.reading,
+        power=power,
+        likelihood=share * (_OUTSIDE if outside else 1.0),
+        low=low,
+        high=high,
+        outside=tuple(dict.fromkeys(outside)),
+    )
 
 
 def _nowhere(one: Wanted) -> float:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
+from mbtool.values.finding import LIKELY
 from mbtool.values.reasons import span_of
 from mbtool.views.tables import plain, plain_table
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from mbtool.values.word_readings import WordReading
 
 LEAST_SHOWN = 0.01
-_LIKELY = 0.5
 
 
 def wanted_title(wanted: Wanted) -> str:
@@ -34,14 +34,14 @@ def places_table(places: Sequence[FoundPlace], unit: str, *, several_slaves: boo
     first = ["slave"] if several_slaves else []
     table = plain_table("likely", *first, "register", "type", "scale", "in the recording")
     for one in places:
-        style = "bold" if one.likelihood >= _LIKELY else ""
+        style = "bold" if one.likelihood >= LIKELY else ""
         cells = [
             percent(one.likelihood),
             *([one.slave] if several_slaves else []),
             write_reference(None, one.table, one.address, one.reading.words),
             type_text(one.reading),
             "" if not one.power else f"x {one.scale:g}",
-            f"{_span(one)}{f' {unit}' if unit else ''}",
+            _span(one, unit),
         ]
         table.add_row(*(plain(cell, style) for cell in cells))
     return table
@@ -63,7 +63,7 @@ def changes_table(changes: Sequence[ChangedPlace], *, several_slaves: bool) -> T
             "another text" if is_text else span_of(one.after),
             "written by a master" if one.is_written else "",
         ]
-        style = "bold" if one.likelihood >= _LIKELY else ""
+        style = "bold" if one.likelihood >= LIKELY else ""
         table.add_row(*(plain(cell, style) for cell in cells))
     return table
 
@@ -82,9 +82,11 @@ def type_text(reading: WordReading) -> str:
     return f"{reading.type} {reading.order}" if reading.words > 1 else str(reading.type)
 
 
-def _span(one: FoundPlace) -> str:
+def _span(one: FoundPlace, unit: str) -> str:
     low, high = f"{one.low:.7g}", f"{one.high:.7g}"
-    return low if low == high else f"{low} to {high}"
+    span = low if low == high else f"{low} to {high}"
+    never = f", never {one.outside[0]:.7g}" if one.outside else ""
+    return f"{span}{f' {unit}' if unit else ''}{never}"
 
 
 def found_document(
@@ -107,6 +109,7 @@ def found_document(
                     "scale": place.scale,
                     "low": place.low,
                     "high": place.high,
+                    "outside": list(place.outside),
                 }
                 for place in places
             ],

@@ -76,6 +76,10 @@ class Asker:
         ]
         return self._namer.name(transaction), events
 
+    def listen(self, time_ns: int) -> None:
+        """Hear another master of the line for a time (ns), to learn the pauses that it leaves."""
+        self._master.listen(time_ns)
+
     def _in_utc(self, adu: Adu) -> Adu:
         return msgspec.structs.replace(
             adu, start_ns=adu.start_ns + self._ahead_ns, end_ns=adu.end_ns + self._ahead_ns

@@ -253,6 +253,25 @@ class CheckRun:
         """True if the files have transactions, but none in the time between --start and --end."""
         return self._window.why_empty is not None
 
+    def learn(self, baseline: Sequence[str], watch: Watch = unwatched) -> list[str]:
+        """Read the captures of a baseline, by which values are judged; return lines for the user.
+
+        Raises InputError if they cannot be read, or have no transaction.
+        """
+        norm = CheckRun(baseline, self._options)
+        norm.reading.demand_files()
+        norm._judge.become_norm()
+        remarks = []
+        try:
+            for _ in norm.findings(watch):
+                pass
+        except InputError as error:
+            remarks = [f"{error}; compared with what is there"]
+        if not norm.transactions:
+            raise InputError(f"{', '.join(baseline)}: no transaction in it to compare with")
+        self._judge.judge_by(norm._judge)
+        return [*norm.reading.remarks, *remarks]
+
     def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.
 

@@ -1,9 +1,10 @@
 """Follows the advice of `stats --advice` in plants, and compares the cycle with what was promised.
 
-`python -m tests.adversary.advice [--plants 10] [--seed TEXT]`: pymodbus polls the embedded slave
-over a virtual serial line, which carries characters as slowly as RS-485 does; `sniff` records it,
-and `stats --advice` tells which requests could be one. Then pymodbus polls that list, and is
-recorded again, both lists in turn. Takes minutes for each plant.
+`python -m tests.adversary.advice [--plants 10] [--seed TEXT] [--baud 9600] [--master NAME]`:
+pymodbus or minimalmodbus polls the embedded slave over a virtual serial line, which carries
+characters as slowly as RS-485 does; `sniff` records it, and `stats --advice` tells which requests
+could be one. Then the master polls that list, and is recorded again, both lists in turn. Takes a
+minute for each plant, at slow rates minutes.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+import minimalmodbus  # type: ignore[import-untyped, unused-ignore]
 from pymodbus import ModbusException
 from pymodbus.client import ModbusSerialClient
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+POLLED_S = 8.0
+"""A list is polled at least so long, as the cycles of a busy machine differ."""
 CYCLES = 4
 CYCLES_OF_ONE = 8
-"""A single poll must be seen more often to be known as a list."""
-BAUDS = (600, 1200)
-"""At slow rates, what other programs of the machine hold up is little beside what a line takes."""
-ROUNDS = 2
+"""The least number of cycles; a single poll must be seen more often to be known as a list."""
+BAUDS = (1200, 2400, 4800, 9600, 19200)
+ROUNDS = 3
 """Both lists are recorded so many times in turn; the quickest of each counts, as others have waited
 for other programs of the machine."""
 PATIENCE_S = 60.0
@@ -62,7 +65,7 @@ class Plant:
     units: int
 
 
-def plant(rng: Random) -> Plant:
+def plant(rng: Random, bauds: Sequence[int] = BAUDS) -> Plant:
     units, limit = rng.randint(1, 2), rng.choice((125, 125, 40))
     blocks: list[tuple[int, range]] = []
     asks: list[Ask] = []
@@ -77,7 +80,7 @@ def plant(rng: Random) -> Plant:
                     asks.append(Ask(unit, function, at, size))
                     at += size
             address += sum(parts) + rng.randint(1, 20)
-    return Plant(rng.choice(BAUDS), asks, rng.choice((0.0, 0.0, 0.3)), limit, blocks, units)
+    return Plant(rng.choice(bauds), asks, rng.choice((0.0, 0.0, 0.3)), limit, blocks, units)
 
 
 def profile(one: Plant) -> str:
@@ -122,45 +125,90 @@ def wait_for(*paths: Path) -> None:
         time.sleep(0.05)
 
 
-def is_refused(client: ModbusSerialClient, ask: Ask) -> bool | None:
-    """Ask; return True for an exception response, None if there is no answer."""
-    read = client.read_holding_registers if ask.function == 3 else client.read_input_registers
-    try:
-        return bool(read(ask.address, count=ask.quantity, device_id=ask.unit).isError())
-    except ModbusException:
-        # What comes late would be taken for the next answer.
-        client.close()  # type: ignore[no-untyped-call]
-        time.sleep(1)
-        client.connect()
-        return None
+class Pymodbus:
+    """A master; a context."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        self._client = ModbusSerialClient(port, baudrate=baud, timeout=3, retries=0)
+        if not self._client.connect():
+            raise ConnectionError(port)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()  # type: ignore[no-untyped-call]
+
+    def is_refused(self, ask: Ask) -> bool | None:
+        """Ask; return True for an exception response, None if there is no answer."""
+        client = self._client
+        read = client.read_holding_registers if ask.function == 3 else client.read_input_registers
+        try:
+            return bool(read(ask.address, count=ask.quantity, device_id=ask.unit).isError())
+        except ModbusException:
+            # What comes late would be taken for the next answer.
+            client.close()  # type: ignore[no-untyped-call]
+            time.sleep(1)
+            client.connect()
+            return None
 
 
-def poll(port: Path, one: Plant, asks: Sequence[Ask]) -> int:
-    """Poll some cycles as pymodbus does; return how many requests were refused."""
-    client = ModbusSerialClient(str(port), baudrate=one.baud, timeout=3, retries=0)
-    if not client.connect():
-        raise ConnectionError(str(port))
-    refused = 0
-    try:
+class Minimalmodbus:
+    """A master; a context."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        self._slave = minimalmodbus.Instrument(port, 1)
+        self._slave.serial.baudrate, self._slave.serial.timeout = baud, 3
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._slave.serial.close()
+
+    def is_refused(self, ask: Ask) -> bool | None:
+        """Ask; return True for an exception response, None if there is no answer."""
+        self._slave.address = ask.unit
+        try:
+            self._slave.read_registers(ask.address, ask.quantity, ask.function)
+        except minimalmodbus.SlaveReportedException:
+            return True
+        except minimalmodbus.ModbusException:
+            time.sleep(1)
+            return None
+        return False
+
+
+MASTERS: dict[str, type[Pymodbus | Minimalmodbus]] = {
+    "pymodbus": Pymodbus,
+    "minimalmodbus": Minimalmodbus,
+}
+
+
+def poll(port: Path, one: Plant, asks: Sequence[Ask], master: str) -> int:
+    """Poll some cycles; return how many requests were refused."""
+    refused = cycles = 0
+    with MASTERS[master](str(port), one.baud) as client:
         until = time.monotonic() + PATIENCE_S
-        while is_refused(client, Ask(1, asks[0].function, asks[0].address, 1)) is None:
+        while client.is_refused(Ask(1, asks[0].function, asks[0].address, 1)) is None:
             if time.monotonic() > until:
                 raise TimeoutError("no slave answers")
-        for _ in range(CYCLES if len(asks) > 1 else CYCLES_OF_ONE):
+        least = CYCLES if len(asks) > 1 else CYCLES_OF_ONE
+        until = time.monotonic() + POLLED_S
+        while cycles < least or time.monotonic() < until:
+            cycles += 1
             for ask in asks:
-                refused += is_refused(client, ask) or False
+                refused += client.is_refused(ask) or False
             if one.wait_s:
                 time.sleep(one.wait_s)
-    finally:
-        client.close()  # type: ignore[no-untyped-call]
     return refused
 
 
 class Site:
     """A virtual line with its slaves; a context."""
 
-    def __init__(self, folder: Path, one: Plant) -> None:
-        self._folder, self._plant = folder, one
+    def __init__(self, folder: Path, one: Plant, master: str) -> None:
+        self._folder, self._plant, self._master = folder, one, master
         self._ends = [folder / end for end in ("slave", "master", "tap")]
         self._running = ExitStack()
         self._runs = 0
@@ -195,7 +243,7 @@ class Site:
         tap = started("sniff", f"rtu:{self._ends[2]}@{self._settings}", "-w", str(log))
         try:
             wait_for(log)
-            refused = poll(self._ends[1], self._plant, asks)
+            refused = poll(self._ends[1], self._plant, asks, self._master)
             time.sleep(0.5)
         finally:
             ended(tap)
@@ -212,13 +260,18 @@ def advised(log: Path, device: Path, units: int) -> Any:
     return max(found, key=lambda one: one["requests"]) if found else None
 
 
-def measured(log: Path) -> tuple[float, float]:
-    """The cycle that `stats` shows of a recording, and the part of it that requests take (ms)."""
+def measured(log: Path) -> tuple[float, float] | None:
+    """The cycle that `stats` shows of a recording, and the part of it that requests take (ms).
+
+    None if it shows no list, as a busy machine makes the periods of a single request uneven.
+    """
     arguments = [sys.executable, "-m", "mbtool", "stats", str(log), "--json"]
     document = json.loads(subprocess.run(arguments, capture_output=True, check=False).stdout)
     lists = [
         one for link in document["links"] for master in link["masters"] for one in master["lists"]
     ]
+    if not lists:
+        return None
     longest = max(lists, key=lambda one: len(one["steps"]))
     steps = longest["steps"]
     busy = sum(each["took_ms"] for each in steps) + sum(each["pause_ms"] for each in steps[1:])
@@ -243,11 +296,13 @@ def followed(asks: Sequence[Ask], reads: Sequence[dict[str, Any]]) -> list[Ask]:
     return left
 
 
-def results(seed: str, plants: range) -> Iterator[tuple[float, int]]:
+def results(
+    seed: str, plants: range, bauds: Sequence[int] = BAUDS, master: str = "pymodbus"
+) -> Iterator[tuple[float, int]]:
     """Follow the advice in plants; yield how far off each promise was, and the requests refused."""
     for number in plants:
-        one = plant(Random(f"{seed}-{number}"))
-        with TemporaryDirectory() as temporary, Site(Path(temporary), one) as site:
+        one = plant(Random(f"{seed}-{number}"), bauds)
+        with TemporaryDirectory() as temporary, Site(Path(temporary), one, master) as site:
             device = Path(temporary) / "device.toml"
             promises, shown, before, refused = [], [], [], 0
             then: list[Ask] = []
@@ -262,11 +317,12 @@ def results(seed: str, plants: range) -> Iterator[tuple[float, int]]:
                 promises.append(advice["busy_then_ms" if waits else "cycle_then_ms"])
                 before.append(advice["busy_ms" if waits else "cycle_ms"])
                 log, more = site.recorded(then)
-                cycle, busy = measured(log)
-                shown.append(busy if waits else cycle)
                 refused += more
-            if not then:
-                print(f"plant {number}: no advice for {len(one.asks)} requests")
+                if (found := measured(log)) is not None:
+                    shown.append(found[waits])
+            if not shown:
+                what = "no cycle is shown" if then else "no advice"
+                print(f"plant {number}: {what} for {len(one.asks)} requests")
                 continue
             off = min(promises) / min(shown) - 1
             print(
@@ -284,9 +340,11 @@ def main() -> None:
     parser.add_argument("--plants", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the number of the first plant")
     parser.add_argument("--seed", default="a")
+    parser.add_argument("--baud", type=int, action="append", help="only plants of this rate")
+    parser.add_argument("--master", choices=MASTERS, default="pymodbus")
     chosen = parser.parse_args()
     plants = range(chosen.first, chosen.first + chosen.plants)
-    found = list(results(chosen.seed, plants))
+    found = list(results(chosen.seed, plants, chosen.baud or BAUDS, chosen.master))
     near = sum(abs(off) <= 0.05 for off, _ in found)
     print(f"within 5 %: {near} of {len(found)}; refused: {sum(refused for _, refused in found):g}")
 

@@ -140,7 +140,9 @@ def main() -> None:
         with figures.open("w") as file:
             command = [sys.executable, "-m", "mbtool", "stats", str(capture), "--json"]
             subprocess.run(command, check=True, stdout=file, stderr=subprocess.DEVNULL)
-        differing = differences(document(page)["stats"], json.loads(figures.read_text()))
+        shown = document(page)
+        verdict = {key: shown["verdict"][key] for key in ("level", "troubles")}
+        differing = differences(shown["stats"] | verdict, json.loads(figures.read_text()))
         size = page.stat().st_size
         times = ", ".join(f"{one:.2f}" for one in ratios)
         sys.stdout.write(

@@ -42,6 +42,20 @@ def test_findings_are_an_answer_of_no(capsys: pytest.CaptureFixture[str]) -> Non
     )
 
 
+def test_a_baseline_is_read_first_and_must_have_transactions(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    alone, told = mbtool("check", SHOWS), mbtool("check", SHOWS, "--baseline", NEARLY)
+    assert (told.code, told.out, told.err) == (alone.code, alone.out, alone.err)
+    empty = tmp_path / "empty.pcap"
+    empty.write_bytes(pcap([]))
+    told = mbtool("check", SHOWS, "--baseline", str(empty))
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err == f"mbtool: {empty}: no transaction in it to compare with\n"
+    told = mbtool("check", SHOWS, "--baseline", str(tmp_path / "absent.pcap"))
+    assert (told.code, told.err.count("\n")) == (exit_codes.UNREADABLE, 1)
+
+
 def test_no_findings_are_an_answer_of_yes(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", NEARLY]) == exit_codes.DONE
     captured = capsys.readouterr()

@@ -7,12 +7,14 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.devices import load_profile
-from tests.cli.test_stats import LINE
+from tests.cli.test_stats import FOLDER, LINE
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.cli.program import CommandLine
+
+PLANT = FOLDER / "plant.pcap"
 
 
 def test_the_register_of_a_number_is_told(mbtool: CommandLine) -> None:
@@ -59,6 +61,24 @@ def test_the_best_place_is_kept_in_a_new_profile_and_in_one_that_is_there(
     assert "Rate" in names
     assert "Speed" not in names
     assert "# A remark of the user." in file.read_text()
+
+
+def test_a_number_outside_of_what_was_recorded_is_told_and_not_kept(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    file = tmp_path / "device.toml"
+    told = mbtool("find", str(PLANT), "Room=23.9degC", "--keep", str(file))
+    assert told.code == exit_codes.NO
+    percent, row = told.lines[2].split(" %")
+    assert float(percent) < 50
+    assert row.split()[:3] == ["10.0.0.12:502/1", "input", "0"]
+    assert told.lines[2].endswith("23 to 23.2 degC, never 23.9")
+    assert told.err == (
+        "mbtool: Room is not kept: the registers never had 23.9 in the recording; record while the "
+        "display shows it, and give the time: 23.9@TIME\n"
+        f"mbtool: nothing is likely enough, so {file} is not written\n"
+    )
+    assert not file.exists()
 
 
 def test_a_profile_stays_as_it_was_if_a_point_cannot_be_added_to_its_text(

@@ -9,16 +9,25 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.cli.options import Format, condition
+from mbtool.cli.output import open_output
+from mbtool.cli.poll import Polling
+from mbtool.cli.talk import Interrupt
 from mbtool.core import TcpLink
+from mbtool.master.other_master import NoPauseError
 from mbtool.modbus import Response
 from mbtool.slave.shells import TcpSlave
+from mbtool.workflows.ask import Asker, PollTally
 from tests.cli.program import Program
+from tests.ledger.requests import request
 from tests.slave.scripted import Scripted
 from tests.workflows.bench import ANY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
+    from mbtool.core import WireEvent
+    from mbtool.devices import NamedTransaction
     from tests.cli.program import CommandLine
 
 
@@ -70,6 +79,50 @@ def test_a_failed_poll_is_a_no(mbtool: CommandLine) -> None:
     assert told.code == exit_codes.NO
     assert "asked 4, answered 0, failed 4 (4 exception)" in told.err
     assert len([line for line in told.lines if "illegal data address" in line]) == 1
+
+
+class Hidden(Asker):
+    """Gives what it is told to; what is an error is raised."""
+
+    def __init__(self, given: Sequence[NamedTransaction | NoPauseError]) -> None:
+        self._given = iter(given)
+        self.listened_ns = 0
+
+    def ask(self, pdu: bytes) -> tuple[NamedTransaction, list[WireEvent]]:
+        given = next(self._given)
+        if isinstance(given, NoPauseError):
+            raise given
+        return given, []
+
+    def listen(self, time_ns: int) -> None:
+        self.listened_ns += time_ns
+
+
+def polled(given: Sequence[NamedTransaction | NoPauseError]) -> tuple[Hidden, PollTally]:
+    asker, tally = Hidden(given), PollTally()
+    with open_output(None, Format.JSONL, None, lambda _: None, condition(None)) as out:
+        polling = Polling(asker, out, [bytes.fromhex("03 0000 0001")], None, tally, is_table=False)
+        polling.run(Interrupt(), 1, 2)
+    return asker, tally
+
+
+NO_PAUSE = NoPauseError("rtu:/dev/x: the other master left no pause of 412 ms")
+
+
+def test_waits_for_a_pause_as_long_as_asked_once_there_was_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    one = request(0, 10, response_values=[1])
+    asker, tally = polled([one, NO_PAUSE, NO_PAUSE, NO_PAUSE, one])
+    told = capsys.readouterr()
+    assert (tally.outcomes.total(), told.out.count("\n")) == (2, 2)
+    assert told.err.count("It waits until there is one\n") == 1
+    assert asker.listened_ns > 1e9
+
+
+def test_sends_nothing_where_no_pause_was_ever_long_enough() -> None:
+    with pytest.raises(NoPauseError):
+        polled([NO_PAUSE])
 
 
 def test_ends_with_a_summary_on_a_signal(counting: tuple[str, Scripted]) -> None:

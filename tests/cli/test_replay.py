@@ -51,7 +51,10 @@ def test_requests_that_were_never_recorded_are_marked_and_counted(capture: Path)
     marks = [at for at, row in enumerate(rows) if "the request above was never recorded" in row]
     assert len(marks) == 3
     assert ["65535" in rows[at - 1] for at in marks] == [True, False, True]
-    assert told.err.splitlines()[-1] == "never recorded: 03 holding 65535 (2 times); 08 (1 time)"
+    assert (
+        told.err.splitlines()[-1]
+        == "never recorded: unit 1 03 holding 65535 (2 times); unit 1 08 (1 time)"
+    )
 
 
 def test_several_requests_and_units_are_said_as_such(tmp_path: Path) -> None:

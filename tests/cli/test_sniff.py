@@ -205,6 +205,41 @@ def test_a_reader_that_goes_away_does_not_end_a_recording(bench: Bench, tmp_path
     assert len(_logged(path)) == 3
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_an_output_that_cannot_be_written_does_not_end_a_recording(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    with (
+        open("/dev/full", "w", encoding="utf-8") as full,
+        Program("sniff", bench.tap(), "-w", path, stdout=full.fileno()) as program,
+    ):
+        tap = _tap_of(program)
+        _ask(tap, 1)
+        said = program.await_said("cannot be written")
+        _ask(tap, 2)
+        told = program.end(signal.SIGINT)
+    assert said == (
+        "mbtool: standard output: cannot be written: No space left on device; "
+        "the recording goes on\n"
+    )
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err == f"3 transactions: 3 ok\nlog: {path}\n"
+    assert len(_logged(path)) == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_an_output_that_cannot_be_written_ends_a_run_without_a_log(bench: Bench) -> None:
+    with (
+        open("/dev/full", "w", encoding="utf-8") as full,
+        Program("sniff", bench.tap(), stdout=full.fileno()) as program,
+    ):
+        _ask(_tap_of(program), 1)
+        told = program.end()
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err.endswith("standard output: cannot be written: No space left on device\n")
+
+
 def test_a_reader_that_goes_away_ends_a_run_without_a_log(bench: Bench) -> None:
     with Program("sniff", bench.tap()) as program:
         tap = _tap_of(program)

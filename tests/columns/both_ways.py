@@ -1,7 +1,8 @@
 """Decodes a capture both ways: packet by packet, and with plain stretches read as arrays.
 
 `python -m tests.columns.both_ways --captures 1000` compares the two on so many generated captures,
-cut in blocks of several sizes: simulated plants and many short connections in turn.
+cut in blocks of several sizes: simulated plants and many short connections in turn, every third
+one in IPv6. Tables, lines and objects are compared, half of them with a profile and with a filter.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import argparse
 import io
 import random
+from dataclasses import replace
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, NamedTuple
 from unittest.mock import patch
 
@@ -19,16 +22,20 @@ from mbtool.columns.block_table import BlockTables
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
+from mbtool.columns.plain_records import plain_records
+from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.portions import portions
 from mbtool.columns.row_table import row_table
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
+from mbtool.devices.assignment import Assignments, parse_assignment
 from mbtool.logs import csv_line, transaction_to_jsonl
 from mbtool.packets import read_capture
+from mbtool.query.where import parse_where
 from tests.adversary.network import ALL_LOSSES, MASTERS, simulate
 from tests.columns.disturbed_captures import disturbed
-from tests.packets.building import pcap
+from tests.packets.building import ipv6, pcap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,6 +47,8 @@ if TYPE_CHECKING:
 
 PORTS = (502,)
 NAME = "a.pcap"
+PROFILES = (None, "fa3-at1m8x", None, "wago-750", None, "idec-ft1a-touch")
+WHERE = ("function == 3", 'outcome == "exception" or latency_ms > 5', "1 in values", "unit < 17")
 
 
 class Outcome(NamedTuple):
@@ -52,8 +61,13 @@ class Outcome(NamedTuple):
     """How many transactions were read as arrays."""
 
 
-def packet_by_packet(capture: bytes) -> Outcome:
-    records, error = records_of(capture)
+def namer_of(profile: str | None) -> Namer:
+    """A namer that takes all slaves for devices of this profile; None for no profile."""
+    return Namer(Assignments([] if profile is None else [parse_assignment(f"all={profile}")]))
+
+
+def packet_by_packet(capture: bytes, profile: str | None = None) -> Outcome:
+    records, error = records_of(capture, namer_of(profile))
     rows = [one for one in records if not isinstance(one, WireEvent)]
     events = [one for one in records if isinstance(one, WireEvent)]
     return Outcome(without_dictionaries(row_table(rows)), events, error)
@@ -72,9 +86,13 @@ def records_of(capture: bytes, namer: Namer | None = None) -> tuple[list[Record]
     return records + decoder.close(), error
 
 
-def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> Outcome:
-    blocks, error, plain = blocks_of(capture, block_packets)
-    tables = BlockTables()
+def as_arrays(
+    capture: bytes,
+    block_packets: int = packet_block.BLOCK_PACKETS,
+    profile: str | None = None,
+) -> Outcome:
+    blocks, error, plain = blocks_of(capture, block_packets, namer_of(profile))
+    tables = BlockTables(namer_of(profile))
     made, events = [], []
     for decoded in blocks:
         made.append(without_dictionaries(tables.batch(decoded).table))
@@ -112,9 +130,13 @@ def without_dictionaries(table: pa.Table) -> pa.Table:
     return table.cast(pa.schema(fields)).combine_chunks()
 
 
-def differences(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> list[str]:
+def differences(
+    capture: bytes,
+    block_packets: int = packet_block.BLOCK_PACKETS,
+    profile: str | None = None,
+) -> list[str]:
     """What the two ways make differently of a capture, a line for each column."""
-    one, other = packet_by_packet(capture), as_arrays(capture, block_packets)
+    one, other = packet_by_packet(capture, profile), as_arrays(capture, block_packets, profile)
     found = []
     if one.error != other.error:
         found.append(f"errors: {one.error} and {other.error}")
@@ -129,15 +151,36 @@ def differences(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS)
     ]
 
 
-def differing_texts(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> list[str]:
+def differing_records(
+    capture: bytes, block_packets: int, profile: str | None, where: str
+) -> list[str]:
+    """What the two ways make differently of a capture: objects, and those that a filter takes."""
+    blocks, _, _ = blocks_of(capture, block_packets, namer_of(profile))
+    objects = PlainObjects(namer_of(profile))
+    found = [record for one in blocks for record in plain_records(one, objects)]
+    expected, _ = records_of(capture, namer_of(profile))
+    takes = parse_where(where)
+    some, others = (
+        [one for one in records if not isinstance(one, WireEvent) and takes(one)]
+        for records in (found, expected)
+    )
+    told = [] if found == expected else ["objects"]
+    return told if some == others else [*told, f"where {where}"]
+
+
+def differing_texts(
+    capture: bytes,
+    block_packets: int = packet_block.BLOCK_PACKETS,
+    profile: str | None = None,
+) -> list[str]:
     """The formats whose lines of a capture differ by one byte or more."""
-    records, _ = records_of(capture)
-    blocks, _, _ = blocks_of(capture, block_packets)
+    records, _ = records_of(capture, namer_of(profile))
+    blocks, _, _ = blocks_of(capture, block_packets, namer_of(profile))
     rows = [one for one in records if not isinstance(one, WireEvent)]
     found = []
     for name, line_of, separator in (("jsonl", jsonl_line, ","), ("csv", csv_line, " ")):
         for few in (1, plain_lines.FEW):
-            lines = BlockLines(line_of, separator)
+            lines = BlockLines(line_of, separator, namer_of(profile))
             with patch.object(plain_lines, "FEW", few):
                 text = "".join([lines.batch(one).text for one in blocks])
             if text != "".join(map(line_of, rows)):
@@ -164,6 +207,18 @@ def damaged(capture: bytes, rng: random.Random) -> bytes:
     return bytes(changed[: rng.randrange(24, len(changed))] if rng.random() < 0.3 else changed)
 
 
+def in_ipv6(capture: bytes) -> bytes:
+    """The same Ethernet capture with IPv6 packets in the place of the IPv4 ones."""
+    packets = []
+    for one in read_capture(io.BytesIO(capture), NAME):
+        head, size = one.data[:12], (one.data[14] & 15) * 4
+        end = 14 + int.from_bytes(one.data[16:18], "big")
+        source, destination = (f"fd00::{ip_address(one.data[at : at + 4])}" for at in (26, 30))
+        data = head + b"\x86\xdd" + ipv6(one.data[14 + size : end], source, destination)
+        packets.append(replace(one, data=data, original_length=len(data)))
+    return pcap(packets, magic=0xA1B23C4D)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--captures", type=int, default=1000, help="how many captures to compare")
@@ -172,14 +227,20 @@ def main() -> None:
     plain = rows = differing = 0
     for number in range(options.first, options.first + options.captures):
         rng = random.Random(f"cut {number}")
-        capture = damaged(disturbed(number) if number % 2 else generated(number), rng)
+        made = disturbed(number) if number % 2 else generated(number)
+        capture = damaged(in_ipv6(made) if number % 3 == 2 else made, rng)
         size = rng.choice((3, 17, 100, 65_536))
-        found: Sequence[str] = [*differences(capture, size), *differing_texts(capture, size)]
+        profile, where = PROFILES[number // 2 % len(PROFILES)], rng.choice(WHERE)
+        found: Sequence[str] = [
+            *differences(capture, size, profile),
+            *differing_texts(capture, size, profile),
+            *differing_records(capture, size, profile, where),
+        ]
         read = as_arrays(capture, size)
         plain, rows = plain + read.plain, rows + read.table.num_rows
         differing += bool(found)
         if found:
-            print(f"capture {number}, blocks of {size}: {'; '.join(found)}")
+            print(f"capture {number}, blocks of {size}, {profile}: {'; '.join(found)}", flush=True)
     print(
         f"{options.captures} captures, {rows} transactions, {plain} of them read as arrays: ",
         end="",

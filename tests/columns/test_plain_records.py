@@ -12,10 +12,8 @@ import pytest
 from mbtool.columns import plain_transactions
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.plain_transactions import PlainObjects
-from mbtool.devices import Namer
-from mbtool.devices.assignment import Assignments, parse_assignment
 from tests.benchmarks.file_workloads import make_capture, random_requests, scan
-from tests.columns.both_ways import blocks_of, damaged, records_of
+from tests.columns.both_ways import blocks_of, damaged, namer_of, records_of
 from tests.columns.disturbed_captures import disturbed
 from tests.columns.test_equality import every_form
 
@@ -29,14 +27,10 @@ PROFILES = (None, "fa3-at1m8x", "wago-750", "idec-ft1a-touch")
 
 
 def assert_equal(capture: bytes, block_packets: int, profile: str | None) -> None:
-    def namer() -> Namer:
-        given = [] if profile is None else [parse_assignment(f"all={profile}")]
-        return Namer(Assignments(given))
-
-    blocks, error, _ = blocks_of(capture, block_packets, namer())
-    objects = PlainObjects(namer())
+    blocks, error, _ = blocks_of(capture, block_packets, namer_of(profile))
+    objects = PlainObjects(namer_of(profile))
     found = [one for block in blocks for one in plain_records(block, objects)]
-    expected, expected_error = records_of(capture, namer())
+    expected, expected_error = records_of(capture, namer_of(profile))
     assert error == expected_error
     for one, other in zip(found, expected, strict=True):
         assert one == other

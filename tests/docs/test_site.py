@@ -55,7 +55,7 @@ def test_the_picture_of_a_plant_shows_what_was_never_recorded() -> None:
     text = " ".join(words.split())
     assert "10.0.0.12: 3 different requests to units 1, 2 on tcp:127.0.0.12:1502" in text
     assert "unrecorded: the request above was never recorded" in text
-    assert "never recorded of 10.0.0.11: 03 holding 200 (1 time)" in text
+    assert "never recorded of 10.0.0.11: unit 1 03 holding 200 (1 time)" in text
 
 
 def test_the_picture_of_decode_is_its_output() -> None:

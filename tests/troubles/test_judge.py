@@ -53,12 +53,13 @@ def polled(seconds: int, failing: range = range(0), unit: int = 1) -> list[Named
 @pytest.mark.parametrize(
     ("failing", "said"),
     [
-        (range(60, 100), "all its requests (40) without an answer since 22:14:20"),
-        (range(30), "all its requests (30) without an answer until 22:13:49"),
+        (range(60, 100), "all its 40 requests since 22:14:20 without an answer"),
+        (range(30), "all its 30 requests until 22:13:49 without an answer"),
         (
             range(30, 60),
-            "all its requests (30) without an answer from 22:13:50 to 22:14:19",
+            "all its 30 requests from 22:13:50 to 22:14:19 without an answer",
         ),
+        (range(0, 40, 2), "20 of its 39 requests until 22:13:58 (51 %) without an answer"),
         (range(0, 100, 4), "25 of its 100 requests (25 %) without an answer"),
     ],
 )
@@ -68,6 +69,13 @@ def test_the_share_is_of_the_time_in_which_it_shows(failing: range, said: str) -
     assert [one.ts_ns for one in trouble.evidence] == [
         one.start_ns for one in polled(100, failing) if one.outcome is Outcome.NO_ANSWER
     ]
+
+
+def test_a_unit_that_left_its_only_request_unanswered_is_a_note() -> None:
+    trouble = only([asked(1, 5, Outcome.NO_ANSWER, None), *polled(20)])
+    assert (trouble.code, trouble.severity) == ("UNIT-SILENT", Severity.NOTE)
+    trouble = only([asked(at, 5, Outcome.NO_ANSWER, None) for at in (1, 2)] + polled(20))
+    assert (trouble.code, trouble.severity) == ("UNIT-SILENT", Severity.ERROR)
 
 
 def test_rare_failures_are_notes() -> None:
@@ -117,7 +125,7 @@ def test_many_slow_units_are_a_note_as_they_may_be_of_a_slow_kind() -> None:
     trouble = only(records)
     assert trouble.severity is Severity.WARNING
     assert trouble.cause == (
-        "unit 0 is slow: half of its answers take 120 ms or more, those of the others 5.0 ms; "
+        "unit 0 is slow: half of its answers take 120 ms or more, those of most others 5.0 ms or less; "
         "3 more units likewise"
     )
     assert only([one for one in records if one.unit < 8]).severity is Severity.NOTE
@@ -166,7 +174,7 @@ def refused(at: float, unit: int, *codes: int) -> list[NamedTransaction]:
 def test_the_codes_of_refusals_are_told_as_often_as_they_came() -> None:
     def told(*codes: int) -> str:
         return only(refused(1, 1, *codes)).cause.removeprefix(
-            f"unit 1 refuses all its requests ({len(codes)}), with "
+            f"unit 1 refuses all its {len(codes)} requests, with "
         )
 
     one, other = "illegal function", "illegal data address"
@@ -207,14 +215,14 @@ def test_requests_that_are_no_longer_known_are_not_named(monkeypatch: pytest.Mon
     monkeypatch.setattr(account, "MAX_POLLS", 2)
     fine = [read(at, 1, at % 3, Outcome.OK) for at in range(30)]
     assert causes([*fine, *(read(40 + at, 1, 9) for at in range(3))]) == [
-        "unit 1 refuses all its requests (3), with 02 illegal data address since 22:14:00"
+        "unit 1 refuses all its 3 requests since 22:14:00, with 02 illegal data address"
     ]
 
 
 def test_many_different_requests_that_many_units_refuse_are_a_scan() -> None:
     scan = [read(9 * unit + at / 20, unit, at) for unit in range(1, 7) for at in range(60)]
     assert causes(scan) == [
-        "all 6 units refuse all their requests (360), with 02 illegal data address: "
+        "all 6 units refuse all their 360 requests, with 02 illegal data address: "
         "360 different ones, as in a scan"
     ]
 

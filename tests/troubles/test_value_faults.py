@@ -21,12 +21,14 @@ from mbtool.workflows.check import CheckRun
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.adversary.illnesses.wire import SECOND
 from tests.adversary.values.faults import HEAD, Read, told
+from tests.ledger.requests import request
 from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from mbtool.devices import NamedTransaction
     from mbtool.ledger.answered_reads import ValueChanges
 
 ROWS = 240
@@ -177,17 +179,20 @@ def test_a_register_that_a_master_writes_is_set(tmp_path: Path) -> None:
         assert found == ([] if is_written else ["VALUE-JUMPED"])
 
 
-def captured(columns: Sequence[Sequence[int]], *, is_written: bool = False) -> bytes:
+def captured(
+    columns: Sequence[Sequence[int]], *, is_written: bool = False, begin_s: int = 0
+) -> bytes:
     """A capture of a connection, in which a master reads registers (and writes one)."""
     talk = Talk()
+    talk.ts_ns += begin_s * SECOND
     packets = talk.handshake()
     for number, row in enumerate(zip(*columns, strict=True)):
         words = b"".join(word.to_bytes(2) for word in row)
         pairs = [(b"\3\0\x0a" + len(row).to_bytes(2), bytes([3, len(words)]) + words)]
         if is_written and number == 200:
             pairs.append((b"\6\0\x0a\0\1", b"\6\0\x0a\0\1"))
-        for request, response in pairs:
-            packets.append(talk.request(_adu(number, request)))
+        for asked, response in pairs:
+            packets.append(talk.request(_adu(number, asked)))
             packets.append(talk.response(_adu(number, response)))
         talk.ts_ns += SECOND
     return pcap(packets)
@@ -215,6 +220,62 @@ def test_arrays_and_single_records_give_the_same_troubles(tmp_path: Path) -> Non
     found = [one.sentence for one in judge.judgement().troubles]
     assert [one.sentence for one in run.judgement().troubles] == found
     assert {one.code for one in judge.judgement().troubles} == {"VALUE-JUMPED", "VALUE-STUCK"}
+
+
+def checked(folder: Path, good: Sequence[Sequence[int]], now: Sequence[Sequence[int]]) -> list[str]:
+    """The codes of what is told of a capture, without a baseline and with one."""
+    before, after = folder / "good.pcap", folder / "now.pcap"
+    before.write_bytes(captured(good))
+    after.write_bytes(captured(now, begin_s=100_000))
+    told = []
+    for baseline in ([], [str(before)]):
+        run = CheckRun([str(after)], ReadingOptions())
+        if baseline:
+            assert run.learn(baseline) == []
+        list(run.findings())
+        codes = [one.code for one in run.judgement().troubles if one.code.startswith("VALUE")]
+        told.append(" ".join(codes))
+    return told
+
+
+def test_a_number_that_moved_in_the_baseline_is_stuck_from_the_beginning(tmp_path: Path) -> None:
+    now = [[5003] * ROWS, noise(3)]
+    assert checked(tmp_path, [noise(1), noise(2)], now) == ["", "VALUE-STUCK"]
+
+
+def test_a_short_capture_is_judged_by_the_baseline(tmp_path: Path) -> None:
+    now = [noise(3)[:30], noise(4)[:30]]
+    now[0][20] = 9000
+    assert checked(tmp_path, [noise(1), noise(2)], now) == ["", "VALUE-JUMPED"]
+
+
+def test_what_happened_in_the_baseline_is_usual_and_not_told_again(tmp_path: Path) -> None:
+    good, now = noise(1), noise(3)
+    good[100] = good[180] = now[150] = 9000
+    assert checked(tmp_path, [good, noise(2)], [now, noise(4)]) == ["VALUE-JUMPED", ""]
+    assert checked(tmp_path, [good, noise(2)], [noise(3), noise(4)]) == ["", ""]
+
+
+def test_a_counter_may_stand_elsewhere_than_in_the_baseline(tmp_path: Path) -> None:
+    now = [counter(10), noise(4)]
+    assert checked(tmp_path, [counter(7000), noise(2)], now) == ["", ""]
+
+
+def test_the_only_serial_line_of_two_recordings_is_one_line() -> None:
+    def read(at: int, link: str, *values: int) -> NamedTransaction:
+        at_ns = at * SECOND
+        return request(link=link, request_ns=at_ns, quantity=2, response_values=list(values),
+                       response_ns=at_ns + 1000)  # fmt: skip
+
+    norm = ValueFaults(Assignments())
+    norm.become_norm()
+    for at, pair in enumerate(zip(noise(1), noise(2), strict=True)):
+        norm.transaction(read(at, "good.csv", *pair))
+    sense = ValueFaults(Assignments())
+    sense.judge_by(norm)
+    for at, number in enumerate(noise(3)):
+        sense.transaction(read(100_000 + at, "ttyUSB0", 5003, number))
+    assert [one.code for one in sense.troubles(())] == ["VALUE-STUCK"]
 
 
 class Words:

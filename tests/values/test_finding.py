@@ -79,6 +79,27 @@ def test_a_number_that_is_nowhere_has_no_place() -> None:
     assert not places or places[0].likelihood < 0.5
 
 
+@pytest.mark.parametrize("at_ns", [None, START_NS + 3 * SECOND_NS])
+def test_a_number_that_no_register_had_is_less_than_half_likely_and_marked(
+    at_ns: int | None,
+) -> None:
+    rows = [[230 + at // 2 % 3, 7] for at in range(60)]  # 23.0 to 23.2
+    best = found(Wanted("", [Sighting(23.9, 0.05, at_ns)]), words_of(rows))[0]
+    assert (best.address, best.power, best.outside) == (100, -1, (23.9,))
+    assert best.likelihood < 0.5
+    inside = found(Wanted("", [Sighting(23.1, 0.05, at_ns)]), words_of(rows))[0]
+    assert (inside.address, inside.power, inside.outside) == (100, -1, ())
+    assert inside.likelihood > 0.5
+
+
+def test_a_register_that_rises_may_show_a_little_more_than_at_the_last_poll() -> None:
+    rows = [[2340 + 3 * at, 7] for at in range(60)]
+    seen = [Sighting(234.0, 0.05, START_NS), Sighting(251.8, 0.05, START_NS + 59 * SECOND_NS)]
+    best = found(Wanted("", seen), words_of(rows))[0]
+    assert (best.address, best.power, best.outside) == (100, -1, ())
+    assert best.likelihood > 0.9
+
+
 def test_a_register_is_one_number_only() -> None:
     rows = [[2300, 2301] for _ in range(10)]
     wanted = [Wanted("a", [Sighting(230.0, 0.05)]), Wanted("b", [Sighting(230.1, 0.05)])]

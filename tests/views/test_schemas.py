@@ -1,8 +1,13 @@
-"""SARIF and JUnit of check, against the schemas of OASIS and of Jenkins."""
+"""SARIF and JUnit of check, against the schemas of OASIS and of Jenkins.
+
+sarif-schema-2.1.0.json is in github.com/oasis-tcs/sarif-spec, junit-10.xsd in
+github.com/jenkinsci/xunit-plugin.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -14,7 +19,7 @@ from mbtool.cli.main import run
 from mbtool.views.junit import Case, junit_xml
 
 ROOT = Path(__file__).resolve().parents[2]
-SCHEMAS = ROOT.parent / "shared" / "schemas"
+SCHEMAS = Path(os.environ.get("MBTOOL_SCHEMAS") or ROOT.parent / "shared" / "schemas")
 FINDINGS = ROOT / "captures" / "findings"
 CAPTURES = {
     "findings": [FINDINGS / "SEC-201.pcap", FINDINGS / "RTU-201.pcap", FINDINGS / "MB-401.pcap"],

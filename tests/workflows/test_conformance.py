@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,9 +16,10 @@ from mbtool.sources.virtual_line import VirtualLine
 from mbtool.workflows.ask import transport_of
 from mbtool.workflows.conformance import Conformance, Result
 from mbtool.workflows.slave import device_slave
+from tests.workflows.slave_in_memory import SlaveInMemory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from mbtool.core import LinkSpec
@@ -101,7 +103,6 @@ def results(
     writes: tuple[str, ...] = (),
     folder: Path | None = None,
     ends_early: bool = False,
-    timeout_s: float = 3.0,
 ) -> list[CaseResult]:
     profile = load_profile(name)
     faults = None
@@ -120,7 +121,7 @@ def results(
         link = parse_link(slave.place, "the slave")
     known = profile.in_mode(transport_of(link))
     spans = [parse_span(text, [known]) for text in writes]
-    with open_wire(link, round(timeout_s * 1e9), 0) as wire:
+    with open_wire(link, 3_000_000_000, 0) as wire:
         work = Conformance(known, link, wire, UNIT)
         return list(work.run(spans, lambda: ends_early and bool(failed(work.report.cases))))
 
@@ -174,34 +175,36 @@ def test_a_fault_is_named(
     assert told in [*failed(cases), *noted(cases)][0]
 
 
-@pytest.mark.parametrize("transport", ["rtu", "tcp"])
-def test_a_test_of_a_unit_that_answers_nothing_ends_soon(
-    stack: ExitStack, tmp_path: Path, transport: str
-) -> None:
-    name = COUPLER if transport == "tcp" else TOUCH
-    cases = results(stack, name, transport=transport, fault="kind = 'no-answer'", folder=tmp_path)
-    assert failed(cases)[3:] == [
+def results_in_memory(answers: Callable[[bytes], bool], link: LinkSpec) -> list[CaseResult]:
+    """The results of a slave that answers only those requests of which `answers` is True."""
+    profile = load_profile(TOUCH)
+    wire = SlaveInMemory(profile, UNIT, answers=answers)
+    return list(Conformance(profile, link, wire, UNIT).run())
+
+
+LINE, NETWORK = SerialLink("/dev/line", FAST), TcpLink(Endpoint("127.0.0.1", 502))
+
+
+@pytest.mark.parametrize("link", [LINE, NETWORK], ids=["rtu", "tcp"])
+def test_a_test_of_a_unit_that_answers_nothing_ends_soon(link: LinkSpec) -> None:
+    assert failed(results_in_memory(lambda pdu: False, link))[3:] == [
         "the unit answers: no answer to 3 requests; the other cases were not run"
     ]
 
 
+@pytest.mark.parametrize(("lost", "is_failed"), [({20}, False), ({*range(5, 200, 5)}, True)])
 def test_a_request_that_is_lost_once_is_a_note_and_one_of_five_a_failure(
-    stack: ExitStack, tmp_path: Path
+    lost: set[int], *, is_failed: bool
 ) -> None:
+    numbers = count(1)
+    cases = results_in_memory(lambda pdu: next(numbers) not in lost, LINE)
     told = "got no answer, and the right one when it was asked again"
-    for fault, is_failed in (("nth = 20, times = 1", False), ("every = 5", True)):
-        fault = f"kind = 'no-answer', {fault}"
-        cases = results(stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, timeout_s=0.5,
-                        ends_early=True)  # fmt: skip
-        assert any(told in one for one in noted(cases))
-        assert any(told in one for one in failed(cases)) == is_failed
+    assert any(told in one for one in noted(cases))
+    assert any(told in one for one in failed(cases)) == is_failed
 
 
-def test_a_unit_that_answers_one_function_of_two_is_tested_to_the_end(
-    stack: ExitStack, tmp_path: Path
-) -> None:
-    fault = "kind = 'no-answer', functions = [1, 2]"
-    cases = results(stack, TOUCH, transport="rtu", fault=fault, folder=tmp_path, timeout_s=0.05)
+def test_a_unit_that_answers_one_function_of_two_is_tested_to_the_end() -> None:
+    cases = results_in_memory(lambda pdu: pdu[0] not in (1, 2), LINE)
     assert len([one for one in cases if one.name.startswith("03 ")]) > 20
     assert len([one for one in cases if "got no answer" in one.problem]) > 40
 

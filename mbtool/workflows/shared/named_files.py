@@ -4,7 +4,9 @@
 # capture (.pcap, .pcapng, .cap, .mcap) are taken, because a folder may hold other files; a text log
 # or a file with the bytes of a serial line must be named by itself. A pattern stands for the files
 # that match it. The files of a folder or pattern are sorted by name, and numbers in names are
-# compared as numbers, so that site-2.pcap comes before site-10.pcap.
+# compared as numbers, so that site-2.pcap comes before site-10.pcap. If symbolic links give one
+# file several names in folders and patterns, it is taken once: under its own name if that is found,
+# otherwise under the name of a link.
 
 from __future__ import annotations
 
@@ -24,18 +26,32 @@ _NUMBER = re.compile(r"(\d+)")
 
 
 def named_files(paths: Sequence[str]) -> list[str]:
-    """Return the files that `paths` name. A path that is no folder and no pattern stays as it is.
+    """Return the files that `paths` name, and each file of a folder or pattern once.
 
-    Raises InputError for a folder without captures, and a pattern that no file fits.
+    A path that is no folder and no pattern stays as it is. Raises InputError for a folder without
+    captures, and a pattern that no file fits.
     """
-    return [file for path in paths for file in _files_of(path)]
+    found = [(path, _found(path)) for path in paths]
+    taken = {os.path.realpath(path) for path, files in found if files is None}
+    named: list[str] = []
+    for path, files in found:
+        if files is None:
+            named.append(path)
+            continue
+        once: dict[str, str] = {}
+        for file in sorted(files, key=lambda one: (os.path.islink(one), _order(one))):
+            once.setdefault(os.path.realpath(file), file)
+        named += sorted((file for real, file in once.items() if real not in taken), key=_order)
+        taken |= once.keys()
+    return named
 
 
 def is_folder(path: str) -> bool:
     return os.path.isdir(path)
 
 
-def _files_of(path: str) -> list[str]:
+def _found(path: str) -> list[str] | None:
+    """Return the files of a folder or a pattern; None if `path` is neither."""
     if is_folder(path):
         found = [
             os.path.join(folder, name)
@@ -45,13 +61,13 @@ def _files_of(path: str) -> list[str]:
         ]
         if not found:
             raise InputError(f"{path}: no capture in this folder: no .pcap, .pcapng, .cap, .mcap")
-        return sorted(found, key=_order)
+        return found
     if _WILD.search(path) and not os.path.lexists(path):
         found = [one for one in glob.glob(path, recursive=True) if not is_folder(one)]
         if not found:
             raise InputError(f"{path}: no file fits this pattern")
-        return sorted(found, key=_order)
-    return [path]
+        return found
+    return None
 
 
 def _order(path: str) -> list[tuple[int, str]]:

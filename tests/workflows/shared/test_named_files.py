@@ -52,6 +52,22 @@ def test_a_file_whose_name_looks_like_a_pattern_is_that_file(tmp_path: Path) -> 
     assert named_files(["x[1].pcap"]) == ["x[1].pcap"]
 
 
+def test_a_file_with_several_names_is_taken_once_and_not_by_that_of_a_link(tmp_path: Path) -> None:
+    try:
+        (tmp_path / "d").mkdir()
+        (tmp_path / "d" / "1.mcap").symlink_to(tmp_path / "d" / "2.mcap")
+        (tmp_path / "d" / "3.mcap").symlink_to(tmp_path / "a.mcap")
+        (tmp_path / "d" / "4.mcap").symlink_to(tmp_path / "a.mcap")
+    except OSError:
+        pytest.skip("links need a right here")
+    (tmp_path / "d" / "2.mcap").write_bytes(b"")
+    second, third = os.path.join("d", "2.mcap"), os.path.join("d", "3.mcap")
+    assert named_files(["d"]) == [second, third]
+    assert named_files(["d/*.mcap", "d"]) == [second, third]
+    assert named_files(["d", "a.mcap"]) == [second, "a.mcap"]
+    assert named_files(["a.mcap", "a.mcap"]) == ["a.mcap", "a.mcap"]  # The reader refuses this.
+
+
 def test_several_names_are_taken_in_their_order() -> None:
     assert named_files(["b/c", "a.mcap"]) == [os.path.join("b/c", "x.pcapng"), "a.mcap"]
 
