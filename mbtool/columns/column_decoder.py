@@ -259,8 +259,8 @@ class _BlockPass:
         """For each segment, the latest time so far: times may go back by less than PATIENCE_NS."""
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """An index in `Segments`. The Decoder was fed each segment before it, or was told the
-        segment's time."""
+        """An index in `Segments`. The Decoder has got each segment before it, or only the segment's
+        time."""
         self._used = 0
         """An index in `Segments`. The connections of all segments before it were marked as used in
         the reassembler, which drops the connection that was not used for longest."""

@@ -383,8 +383,8 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Give the ADUs of one direction to the pairing; return ADUs, transactions and events.
 
-        Before each ADU the pairing is told the number of bytes that the capture lacks there, as the
-        stream positions and acknowledgements show. `ts_ns` is the time of the segment, or of the
+        Before each ADU, the pairing gets the number of bytes that the capture lacks there, by the
+        stream positions and acknowledgements. `ts_ns` is the time of the segment, or of the
         gap, that completed `events`.
         """
         other, progress = OTHER[direction], self._progress[direction]

@@ -107,9 +107,10 @@ MAX_LOST_REQUESTS = 32
 MANY_LOSSES = 2
 NEAR_REQUESTS = 32
 """Losses whose number of requests or responses is not known make the later pairs doubtful if the
-capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. A single such loss is told
-well enough by its length: in simulated plants no pair is wrong if every twentieth packet is lost.
-If every fifth is, 0.05 % of the pairs told as sure are wrong (0.3 % with MANY_LOSSES = 3)."""
+capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. For a single such loss, its
+length is enough evidence: in simulated plants, no pair is wrong if every twentieth packet is lost.
+If every fifth is lost, 0.05 % of the pairs that are not doubtful are wrong (0.3 % with
+MANY_LOSSES = 3)."""
 ONE_REQUEST = 16
 """Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
 RECENT_WAITS = 16

@@ -329,8 +329,8 @@ class Pairing:
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
         """Hold the pending request's response back, as it may belong to an `earlier` request.
 
-        Returns the transactions of the requests before `earlier`. The held responses own `earlier`,
-        so that it is told once.
+        Returns the transactions of the requests before `earlier`. From now on `earlier` belongs to
+        the held responses, so it is returned only once.
         """
         self._pending = None
         done = self._unanswered_of(self._earlier.take(earlier))

@@ -90,10 +90,10 @@ class Account:
         """Make an empty account.
 
         `format_of` is called with the name of a link. It returns the baud rate and character format
-        of a serial line, None if they are unknown. `on_retry` is told of retries, after they are
-        counted, as `count_retry` is. `is_part` says that the account gets only some of the requests
-        of an account of all: retries are then not looked for, and the caller tells them with
-        `count_retry`. With `observes`, the account has what tells one device from another.
+        of a serial line, None if they are unknown. `on_retry` is called for each retry after
+        it was counted, with the arguments of `count_retry`. `is_part` is True if the account gets
+        only some of the requests of another account: then it does not look for retries, and the
+        caller adds them with `count_retry`. With `observes`, it notes what identifies a device.
         """
         self._format_of = format_of
         self._on_retry = on_retry

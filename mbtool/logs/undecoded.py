@@ -33,8 +33,8 @@ from mbtool.logs.reader import LogReader
 
 MAX_LOOKED_THROUGH = 16 << 20
 """The largest size in bytes of a log that was not closed, up to which mbtool looks if its last
-bytes were decoded, and decodes them, which takes some seconds. For a larger log the user is told
-how."""
+bytes were decoded, and decodes them, which takes some seconds. For a larger log, a message tells
+the user how to do it."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -291,8 +291,8 @@ class TcpMaster(MasterLink):
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._is_refused = False
-        """True if nobody listens at the slave's port for UDP, which was told once, until a datagram
-        comes from there."""
+        """True after nobody listened at the slave's UDP port, until a datagram comes from it. The
+        user is told only once."""
         self.ended: ConnectionEnding | None = None
         """The way in which the slave ended the last connection, FIN or RST; None if it did not, and
         always for UDP."""
@@ -496,14 +496,15 @@ class SerialMaster(MasterLink):
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
-        """The other master in whose pauses requests are sent; None if the line is ours alone."""
+        """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
         """The number of requests that were sent in its pauses."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
         """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
-        and True for a request of ours and for what comes until the next turn is awaited."""
+        and True for a request of this program and for the bytes after it, until it waits for the
+        next turn."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -660,7 +661,7 @@ class SerialMaster(MasterLink):
         return has_missed
 
     def _note_intrusion(self, event: Adu | Skipped) -> None:
-        """While a request of ours is pending, note bytes of others. Few bytes are noise, and a
+        """While a request of this program is pending, note other bytes. Few bytes are noise, and a
         frame of the unit asked is probably a late answer.
         """
         if self._other is None or self._pending is None:

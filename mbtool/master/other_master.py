@@ -165,7 +165,7 @@ class OtherMaster:
         self._answered: tuple[HeardPoll, int] | None = None
         """The poll whose response was the last frame, and the end of that frame in ns."""
         self._used: tuple[HeardPoll, int] | None = None
-        """The same of the pause in which our last request was sent."""
+        """The poll before the pause that this program used last, and the end of its response (ns)."""
         self._owed: dict[int, int] = {}
         """For each unit that left a request of the other master without its answer: so many polls
         of it must be answered before a late answer counts as lost."""
@@ -272,12 +272,12 @@ class OtherMaster:
 
     @property
     def longest_pause_ns(self) -> int:
-        """The longest pause, in ns, that one can rely on; 0 if there is none."""
+        """The longest pause of a poll, in ns, that is certain (`pause_ns`); 0 if there is none."""
         return max((one.pause_ns for one in self.polls.values()), default=0)
 
     @property
     def greatest_pause_ns(self) -> int:
-        """The longest pause, in ns, that was heard lately; 0 if there is none."""
+        """The longest pause, in ns, among the last pauses of all polls; 0 if there is none."""
         return max((max(one.pauses, default=0) for one in self.polls.values()), default=0)
 
     def latency_ns(self, unit: int) -> int | None:
@@ -294,13 +294,13 @@ class OtherMaster:
             one.is_followed = False
 
     def note_our_request(self) -> None:
-        """Note that a request of ours fills the present pause, so that no other one is sent."""
+        """Note that a request of this program fills the pause, so that no other is sent."""
         self._used = self._answered
         self._answered = self._asked = None
 
     def note_intrusion(self, at_ns: int, doubt_ns: int = 0) -> None:
         """Note that somebody else began to speak at `at_ns`, or at most `doubt_ns` ns later, while
-        our request was pending: the pause was shorter than it seemed.
+        a request of this program was pending: the pause was shorter than it seemed.
         """
         if self._used is not None:
             poll, end_ns = self._used
@@ -310,7 +310,7 @@ class OtherMaster:
         self.listen_anew(at_ns)
 
     def demand_free(self) -> None:
-        """Raise LinkError if somebody else speaks on the line; its text says who asks what."""
+        """Raise LinkError if another program sends on the line; the text names its requests."""
         listened = duration(self.listened_ns)
         if self.polls:
             often = sorted(self.polls.values(), key=lambda one: -one.times)

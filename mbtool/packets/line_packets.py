@@ -70,8 +70,7 @@ if TYPE_CHECKING:
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
-"""Link types that are read as bytes of a serial line without being told: 147 (USER0),
-RTAC_SERIAL."""
+"""Link types that are always read as bytes of a serial line: 147 (USER0), RTAC_SERIAL."""
 USER_LINK_TYPES = frozenset(range(147, 163))
 """Link types (USER0 to USER15) that are free for any use. Those other than 147 are read as bytes of
 a serial line only if the user says so with --link."""

@@ -60,8 +60,8 @@ def time_of_failures(begin: int, first: int, last: int, end: int) -> tuple[bool,
 
 
 _SHORTEST_NS = 2_000_000_000
-"""No time of failures is told of a unit that was heard for less than this (ns), as times have
-whole seconds."""
+"""A trouble names no time of failures if the unit was observed for less than this (ns), because
+times are shown in whole seconds."""
 
 
 class FailedShare(NamedTuple):

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 Q = TypeVar("Q", bound="QuietRows")
 
 JOINED = 3
-"""The same trouble of at least so many units, links or masters is told as one."""
+"""The same trouble of at least so many units, links or masters is reported as one."""
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
@@ -72,7 +72,7 @@ class Judgement:
 
     troubles: Sequence[Trouble]
     links: Sequence[LinkReport]
-    """The account of each link, by which was judged."""
+    """The statistics of each link, from which the troubles were found."""
     is_chosen: bool = False
     """True if the user chose the codes, so that no trouble among them does not mean that all is
     well."""
@@ -136,7 +136,7 @@ class Judge:
         """
         self.ledger = ledger
         self.findings = Summaries()
-        """The broken rules that `note` was told of, by code and place."""
+        """The broken rules that `note` has got, by code and place."""
         self.remarks: list[str] = []
         """Sentences for the user that are no findings; those of a capture are there when it
         ended."""

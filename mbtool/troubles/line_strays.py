@@ -45,7 +45,7 @@ FEW = 0.1
 """A constant byte stands beside at least this share (0 to 1) of the transactions."""
 MOSTLY = 0.8
 OFTEN = 0.2
-"""A place is told if at least this share (0 to 1) of the constant bytes stand there."""
+"""A place is reported if at least this share (0 to 1) of the constant bytes are there."""
 LONGEST_BIAS = 2
 NEAR_NS = 4_000_000
 """A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
@@ -63,8 +63,8 @@ ENOUGH_BYTES = 100
 ENOUGH_PIECES = 5
 SHORTEST_NS = 2_000_000_000
 CHANCE = 1e-6
-"""A stretch is told if noise as elsewhere on the line would damage so many frames in a row less
-often than this."""
+"""A stretch is reported if its probability is below this: the probability that the usual noise of
+the line damages so many frames in a row."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 
 
@@ -85,7 +85,7 @@ class _StrayLine:
     waiting: list[WireEvent] = field(default_factory=list)
     """Single bytes whose place is not known yet."""
     places: Counter[tuple[str, int]] = field(default_factory=Counter)
-    """Beside which frames, and of which unit, the bytes stand."""
+    """The number of bytes at each place: before or after which frames, and of which unit."""
     bias_cases: list[Evidence] = field(default_factory=list)
     last: NamedTransaction | None = None
     text: int = 0
@@ -106,9 +106,9 @@ class _StrayLine:
     answered: int = 0
     requests: int = 0
     frames: int = 0
-    """The number of transactions, in each of which a frame was right."""
+    """The number of transactions; each has at least one correct frame."""
     damaged: int = 0
-    """The number of pieces that are no frame, outside of the stretches that are told."""
+    """The number of pieces that are no frame, outside of reported stretches."""
     stretch: _Stretch | None = None
     stretches: list[_Stretch] = field(default_factory=list)
 
@@ -181,8 +181,8 @@ class StrayBytes(SortedSense):
         _end_stretch(line)
 
     def _place(self, line: _StrayLine, after: NamedTransaction) -> None:
-        """Note of which frames the waiting single bytes are neighbours: those of the transaction
-        before them, or of the one `after`.
+        """Note the place of the waiting single bytes: next to a frame of the transaction before
+        them, or of the transaction `after`.
         """
         format_ = self._line_of(after.link)
         character_ns = 1_000_000 if format_ is None else format_.character_ns

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 ENOUGH = 3
 HELD_NS = 1_000_000_000
-"""Fewer retransmissions than ENOUGH are told if one held an answer up for so long (ns)."""
+"""Even fewer retransmissions than ENOUGH are reported if one delayed an answer by so long (ns)."""
 PENDING = 64
 
 
@@ -138,7 +138,7 @@ BLAMED = 0.5
 """A unit is not blamed if at least this share (0 to 1) of its missing answers were cut off."""
 SHORTEST_PAUSE_NS = 100_000_000
 NOBODY = -2
-"""Stands for the units that a lost connection explains, if there is none."""
+"""Stands in place of a unit if a lost connection explains the failures of none."""
 _ENDS = ("connection closed: reset", "connection closed: refused")
 
 

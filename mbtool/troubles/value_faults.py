@@ -181,7 +181,7 @@ class ValueFaults(Sense):
         """For polls of slaves that may have a profile: their first transaction."""
         self._written: set[tuple[str, int, Table, int]] = set()
         self._much_written: set[tuple[str, int]] = set()
-        """Units of which not all written registers are known, so that nothing is told of them."""
+        """Units with too many written registers to know all; no trouble is reported for them."""
         self._judged = 0
 
     def judge_by(self, norm: ValueFaults) -> None:
@@ -189,7 +189,7 @@ class ValueFaults(Sense):
         self._norm = norm
 
     def become_norm(self) -> None:
-        """Join the captures that follow: they are a baseline, and no trouble is told of them."""
+        """Take the next captures as the baseline, for which no trouble is reported."""
         self._is_norm = True
 
     def begin_capture(self) -> None:

@@ -28,8 +28,8 @@ class Words:
     """What is wrong in a few words, for the row of a unit or link; a template. Empty for the
     code."""
     explains: tuple[str, ...] = ()
-    """The codes of broken rules, and of other troubles, that this trouble is the cause of; they are
-    told no second time."""
+    """The codes of broken rules and other troubles that this trouble causes; they are not
+    reported."""
 
 
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE

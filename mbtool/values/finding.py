@@ -54,7 +54,7 @@ _NOWHERE_OF_ITS_SIZE = 0.01
 """That probability for each unit of the relative tolerance, as a number of many digits seldom
 equals a register by chance."""
 _UNJUDGED = 0.02
-"""The share of a reading that the judgement does not favour."""
+"""The prior probability of an idea that judging.py does not favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
 _WHOLE_SCALES = {
     0: 0.32,

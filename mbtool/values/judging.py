@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 
 SURE = 0.95
-"""A judgement at least as likely as this may be shown without being asked for."""
+"""A type at least as likely as this may be shown, even if the user does not ask for types."""
 MOST_ROWS = 150
 ROUNDS = 3
 ACROSS_A_REQUEST = 12.0

@@ -121,7 +121,7 @@ class RecordRow(NamedTuple):
     is_damaged: bool
     """True if the response to the request came with a wrong CRC or LRC."""
     is_retry: bool
-    """True if the request is a retry, by the rule of the account."""
+    """True if the account counts the request as a retry."""
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -398,7 +398,7 @@ class Board:
         """The board that tells how well slaves answer, and which requests are retries, as a filter
         may let only failures pass."""
         self.part: Board | None = None
-        """The board of the records that pass a filter, which is told of retries."""
+        """The board of the records that pass a filter, which gets the retries from this board."""
         self.account = Account(format_of, self._note_retry, is_part=whole is not None)
         self.retries: OrderedDict[RetryKey, None] = OrderedDict()
         """The last requests that are retries; on a board for a filter none, as they are those of
@@ -497,8 +497,8 @@ class Board:
     def _note_retry(self, poll: PollStatistics, at_ns: int, by: int) -> None:
         """Note that a request of `poll` is a retry (`by` 1), or none after all (-1).
 
-        `at_ns` (UTC ns) is its time. The account of a filter's board lacks the requests between, so
-        it is told of retries.
+        `at_ns` (UTC ns) is its time. A board with a filter lacks the requests between, so it
+        gets the retries from here.
         """
         if self.whole is not self:
             return

@@ -85,7 +85,7 @@ class Watched:
             self._add_filtered(self.filtered, kept)
 
     def judge(self) -> Judgement:
-        """Judge all records so far; the judgement stands on the board, too."""
+        """Return the troubles of all records so far, and keep them on the board."""
         links = report(self.whole.account, with_cycles=False)
         self.whole.judgement = self._judge.judgement(links)
         return self.whole.judgement

@@ -43,7 +43,7 @@ SHARE = 20
 MAX_RUNNING = 4
 """At most so many commands run at once; a trouble that comes meanwhile waits."""
 MAX_ANNOUNCED = 65_536
-"""After so many topics Home Assistant is told of each one again."""
+"""After so many topics, each topic is announced to Home Assistant again."""
 DISCOVERY = "homeassistant"
 """The topic below which Home Assistant looks for devices."""
 _NO_ID = re.compile(r"[^A-Za-z0-9_-]+")
@@ -201,7 +201,7 @@ class KeptFiles:
 
 
 class TroubleCommands:
-    """Runs a command of the user when a trouble is told for the first time."""
+    """Runs a command of the user when a trouble is reported for the first time."""
 
     def __init__(
         self, commands: Sequence[tuple[str, str]], on_remark: Callable[[str], None]
@@ -215,7 +215,7 @@ class TroubleCommands:
         self._running: list[subprocess.Popen[bytes]] = []
 
     def take(self, troubles: Sequence[Trouble]) -> None:
-        """Run the commands of troubles that were not told before."""
+        """Run the commands for troubles that were not reported before."""
         self._running = [one for one in self._running if one.poll() is None]
         for trouble in (each for one in troubles for each in one.all):
             key = _key_of(trouble)

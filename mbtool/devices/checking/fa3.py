@@ -102,8 +102,7 @@ class _Module:
     """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
     most MAX_CONNECTIONS + 1."""
     third: _Third | None = None
-    """The third connection of which it is not known yet what the module does; None if there is
-    none."""
+    """The third connection, if the module's reaction to it is not known yet; otherwise None."""
     rejects_until_ns: int = 0
     """The time (ns) until which the module may refuse connections, after an alive check failed."""
     incomplete: dict[str, int] = field(default_factory=dict)
@@ -118,7 +117,7 @@ class _Module:
     alarm: int = 0
     """The value of RWr1 as it was read last."""
     model: int | None = None
-    """The model code that was told of last."""
+    """The model code that was reported last."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
     """The time (ns) of each recent request and connection attempt, and a finding that it came too
     soon after a reset. The finding is reported if a reset less than RESET_NS earlier is decoded
@@ -427,7 +426,7 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
         first = transaction.address or 0
         span = range(first, first + (transaction.quantity or 1))
         if module.is_requested and not module.is_polled and _is_of_values(known, span):
-            module.is_polled = True  # Told once.
+            module.is_polled = True  # Reported once.
             text = f"{request_text(transaction)}, while Y9 is on and X9 was not read"
             yield transaction_finding("FA3-X5", transaction, text)
         return
