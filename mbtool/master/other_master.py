@@ -165,7 +165,7 @@ class OtherMaster:
         self._answered: tuple[HeardPoll, int] | None = None
         """The poll whose response was the last frame, and the end of that frame in ns."""
         self._used: tuple[HeardPoll, int] | None = None
-        """The poll before the pause that this program used last, and the end of its response (ns)."""
+        """The poll before the pause that this program used last, and its response's end (ns)."""
         self._owed: dict[int, int] = {}
         """For each unit that left a request of the other master without its answer: so many polls
         of it must be answered before a late answer counts as lost."""
