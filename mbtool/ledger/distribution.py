@@ -23,6 +23,8 @@ MAX_BUCKETS = 1024
 _EXACT_BITS = 64
 _STEPS = (1, 2, 5)
 _MICROSECOND = 1000
+PERCENTILES = (50, 95, 99)
+"""The percentiles of latencies that statistics, the report and the metrics show."""
 _FAR = 1.5
 """Bars leave out durations beyond the 99th percentile if the greatest is so many times that."""
 

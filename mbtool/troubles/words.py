@@ -233,7 +233,8 @@ _ROWS = (
     ),
     Words(
         "UNIT-SLOW", _W,
-        "{who} is slow: half of its answers take {median} or more, those of most others {usual} or less",
+        "{who} is slow: half of its answers take {median} or more, those of most others "
+        "{usual} or less",
         "give it a time-out of its own, poll it more rarely, or ask less in one request",
         "unit", "slow, {median}",
     ),
