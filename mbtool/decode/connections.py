@@ -374,7 +374,7 @@ class ConnectionDecoder:
         lost = {direction: progress.end() for direction, progress in self._progress.items()}
         losses = [_LostBytes(one, size, None) for one, size in lost.items() if size > _FIN]
         decoded += self._lost(losses, self._last_ns)
-        if lost[Direction.RESPONSE] > _FIN:  # A FIN may be among these: their number is unsure.
+        if lost[Direction.RESPONSE] > _FIN:  # One byte may be a FIN, so the number is unsure.
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 

@@ -295,7 +295,7 @@ class TextLog:
             if ts_ns is None and before.time is not None:
                 ts_ns = self._ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
-                mark = self._last_mark[1]  # Both lines are of one object that has several.
+                mark = self._last_mark[1]  # Both lines belong to one object.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
                 break
         if mark is not None and label.mark is None:

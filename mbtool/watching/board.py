@@ -533,9 +533,9 @@ class Board:
         if at_ns > poll.last_ns:
             poll.last_ns = at_ns
         if at_ns < poll.last.at_ns and not _is_cut_off(poll.last.record):
-            return  # A request without response becomes known late; the values shown are newer.
+            return  # It has no response, so it was decoded late; newer values are shown.
         if one.outcome is Outcome.NOT_CAPTURED and _is_cut_off(one) and kept is not poll.last:
-            return  # What the slave did before tells more.
+            return  # Keep the last transaction with a known outcome.
         poll.last, poll.is_damaged = kept, is_damaged
         if one.outcome not in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST):
             return
