@@ -203,7 +203,7 @@ class ObservedShell:
         try:
             span = find_span(what, self._profiles)
         except UsageError as error:
-            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
+            raise error.with_traceback(None) from None  # Hide the calls inside mbtool.
         if span is not None:
             return span
         named = self._target(what)
@@ -255,7 +255,7 @@ class ObservedShell:
         try:
             self._add_faults([{"kind": kind, **keys}])
         except UsageError as error:
-            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
+            raise error.with_traceback(None) from None  # Hide the calls inside mbtool.
 
     def clear_faults(self) -> None:
         """Remove all faults, so that responses are correct again."""

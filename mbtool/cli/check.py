@@ -298,7 +298,7 @@ class _JUnitPrinter(_Printer):
         self._file = file
 
     def add(self, found: FileFinding) -> None:
-        pass  # Broken rules are among the troubles.
+        pass  # The troubles include broken rules.
 
     def end(self, run: CheckRun, why_partial: str | None) -> None:
         from mbtool.views.junit import Case, junit_xml

@@ -1,4 +1,4 @@
-"""Opens the file of --output, and says what is left of it after an error."""
+"""Opens the file of --output, and tells the user what the file contains after an error."""
 
 from __future__ import annotations
 

@@ -5,23 +5,23 @@
 #
 #     form      The response fits the request: the number of values, what it repeats of the request.
 #               A response that fits no open request goes to the pending one, as malformed.
-#     pending   The pending request comes first, then the oldest one: a slave answers in order.
+#     order     The pending request is tried first, then the oldest open one, since a slave answers
+#               in order.
 #     time      The unit never answers in less than half of its shortest time so far.
-#     the next  If a response fits the pending request and one before, it is held back. If a
-#               response of the unit then comes without a request to it, each held response belongs
-#               to the request before.
+#     the next  If a response fits the pending request and an earlier one, it is held back. If the
+#               next response of the unit has no request of its own, each held response belongs to
+#               the request before the one that it was held for.
 #
-# A response to an earlier request is late if its master had given the request up, so that it sent
-# the next one. If the master certainly still waited, and only one request was sent since, a second
-# master has overtaken the first, and the response is in time. If the times do not tell which of the
-# two is true, the response is late, and ambiguous, until the line has shown ENOUGH_OVERTAKEN such
-# responses among the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are
-# then the time-out of one master, and different ones show two masters. (network_pairing.py pairs
-# the requests and responses of a TCP connection.)
+# A response to an earlier request is late if its master had given this request up before it sent
+# the next one. If the master certainly still waited, and only one request was sent since, the
+# response is in time: a second master has sent that request. If the times do not tell which of the
+# two is true, the response counts as late and ambiguous, until the line has shown ENOUGH_OVERTAKEN
+# such responses among the last RECENT_REQUESTS requests. From then on, equal waits (EQUAL) before
+# the next request are the time-out of one master, and different waits show two masters.
 #
-# Bytes that belong to no frame, behind a request, are its damaged response: the request then has no
-# answer. Right behind such bytes, a response may be to a request that was damaged, and goes to no
-# earlier request.
+# If bytes that belong to no frame follow a request, they are its damaged response, and the request
+# has no answer. A response that follows such bytes directly may answer a damaged request, so it is
+# paired with no earlier request.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer. The transactions of one unit come in the order
@@ -194,7 +194,8 @@ class Pairing:
         requests get the outcome `no-answer`.
         """
         done = [each for unit in [*self._held] for each in self._release(unit)]
-        # Without times, a request that another one followed is not known to be recent.
+        # If the capture has no times, a request that was followed by another is not known to be
+        # recent.
         timed = self._ends.timed
         earlier = self._earlier.take_all()
         requests = [(one.adu, timed or self._is_overtaken(one)) for one in earlier]
@@ -259,7 +260,7 @@ class Pairing:
             done += self._answer_earlier(earlier[0], response)
         elif self._earlier.is_too_early(response.unit, response.start_ns - pending.end_ns):
             done += self._answer_earlier(earlier[0], response)
-            # The master takes the late response for that to the pending request.
+            # The master takes the late response for the response to the pending request.
             self._earlier.put_back(pending)
             self._pending = None
         elif self._may_be_late(earlier[0], response):
@@ -291,10 +292,10 @@ class Pairing:
         self._earlier.note_heard(response.unit)
         if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
-        # Without silences that tell a retry, it may be a repeater's copy of the response before, or
-        # the response to a retry.
+        # If the line shows no silences that tell a retry, this response may be a repeater's copy of
+        # the previous one, or the response to a retry.
         is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
-        # Where only slaves are heard, it is the response to the next request.
+        # If only slaves are heard, an equal response is the response to the next request.
         is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
@@ -328,8 +329,8 @@ class Pairing:
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
         """Hold the pending request's response back, as it may belong to an `earlier` request.
 
-        Returns the transactions of the requests before `earlier`. The held responses own `earlier`,
-        so that it is told once.
+        Returns the transactions of the requests before `earlier`. From now on `earlier` belongs to
+        the held responses, so it is returned only once.
         """
         self._pending = None
         done = self._unanswered_of(self._earlier.take(earlier))

@@ -119,7 +119,7 @@ class TcpConnection:
         """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._opened_ns = ts_ns
         self.wants_bytes = True
-        """False once the bytes of this connection are not wanted any more; only its end is told."""
+        """False once the bytes of this connection are not wanted; then only its end is reported."""
         self._has_acknowledged = False
         """True once a segment other than one that continues both streams in order had an
         acknowledgement."""

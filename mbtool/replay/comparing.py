@@ -14,18 +14,19 @@
 #               function are one difference if their medians changed by about the same factor
 #               (ALIKE): it shows the times of the request that changed most, and names all requests
 #
-# For each slave's address, one more:
+# For the address of each slave, one more kind of difference is reported:
 #
 #     connection   a TCP connection was refused, or was ended by the slave or by a reset, in one
-#                  capture only. If both have the same number of connections, these are compared one
-#                  by one. If not, a kind is a difference if it is in one capture only, or if its
-#                  share of the connections differs significantly. Connections that the master
-#                  closed or that were open at the capture's end are of one kind, and so are those
-#                  that were open before the capture: a capture may begin later and end earlier
+#                  capture only. If both captures have the same number of connections, they are
+#                  compared one by one. Otherwise a kind of ending is a difference if it is in one
+#                  capture only, or if its share of the connections differs significantly. A capture
+#                  may begin later and end earlier than the other. So connections that the master
+#                  closed, that were open before the capture, or that were open at its end, are one
+#                  kind
 #
 # The significance level of a whole comparison is ALPHA; each test gets ALPHA divided by the number
-# of tests (Bonferroni). A shift of latencies must also be at least of medium size
-# (below), as with thousands of polls even a tiny shift is significant.
+# of tests (Bonferroni). A shift of latencies must also be of medium size at least (see the tests
+# below), because with thousands of polls even a tiny shift is significant.
 
 from __future__ import annotations
 
@@ -183,7 +184,7 @@ def differences(
     ):
         one, other = slaves_a.get(key), slaves_b.get(key)
         if one is None or other is None:
-            if (a if one is None else b).has_all_slaves:  # Else it may have been left out.
+            if (a if one is None else b).has_all_slaves:  # Otherwise it may have been left out.
                 found.append(_only_slave(key, one, other))
             continue
         wording = DeviceWording.of_device(one.device or other.device, profiles)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from mbtool.modbus.functions import EXCEPTION_BIT, READ_REGISTERS
 from mbtool.modbus.layouts import bit_bytes
 
-# Rules for PDUs of a correct form whose contents no master or slave sends, or hardly ever.
+# PDUs that have a correct form, but contents that no master or slave sends, or hardly ever.
 
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""

@@ -188,7 +188,7 @@ class FrameCopies:
             return
         if self.last_response and (self._repeated or self.repeats):
             self._end_single_response()
-        if is_certain and raw == self.last:  # A slave repeats the whole request, or the adapter.
+        if is_certain and raw == self.last:  # The slave or the adapter repeats the whole request.
             self._is_copied, self._is_surely_copied, self.last = True, False, b""
             self.last_response = b""
             return

@@ -89,7 +89,8 @@ def _request_cost(
     if pending is None:
         return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     is_rewrite = not is_retry and pdu[0] in ECHOING and pending.has_address_of(unit, pdu)
-    # A rewrite may be a wrong echo: it does not tell that the unit is absent.
+    # A frame that writes another value to the same address may be the response with a wrong value.
+    # So it does not show that the unit is absent.
     silent = history.unanswered_bits(unit) if is_rewrite else history.silent_bits(state, pending)
     if not is_retry:
         cost += max(history.no_answer.bits - silent, costs.MIN_UNANSWERED)

@@ -182,14 +182,14 @@ class LineHistory:
             known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
             self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
             self.pauses += 1
-        if by_form:  # If not, it may be a response taken for a retry.
+        if by_form:  # Otherwise the frame may be a response.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)
             if is_retry or not self.retry.is_at_rest:
                 self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
                 waited_ns = start_ns - pending.awaited_from_ns
-                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Sooner: an adapter's copy.
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # An earlier one is a copy.
                     self.timeout.learn(waited_ns)
 
     def learn_latency(

@@ -10,7 +10,8 @@
 #    incomplete frame stay too if only its end can make their meaning certain, but for at most
 #    MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
-#    bytes are returned, and of these the frames that every explanation contains.
+#    bytes are returned. Frames in the last 256 bytes are returned if every explanation of the
+#    window contains them.
 #
 # A search stops at a frame behind which only one explanation is left, and the fast path goes on
 # there. So its work grows with the number of unclear places, not with the number of bytes.
@@ -19,6 +20,7 @@
 # of the last one, a character time apart. The output depends on these times only, not on how the
 # bytes were divided into reads. When the clock was set back, all buffered bytes are returned; a
 # step back of at most MAX_BACK_NS is a wrong time of a read.
+#
 # Memory: less than WINDOW bytes.
 
 from __future__ import annotations
@@ -183,7 +185,7 @@ class RtuSplitter:
         if not size:
             return events
         first_ns = ts_ns - (size - 1) * step_ns
-        # The usual case, first because it is quick: more bytes of a frame that is not complete yet.
+        # Test the usual case first, because the test is quick: more bytes of an incomplete frame.
         if (
             times
             and 0 <= first_ns - times[-1] < self._silent_ns
@@ -306,7 +308,7 @@ class RtuSplitter:
             copied = self._copies.copied
             if copied and self._may_be_copied(len(copied)):
                 have = self._copies.copied_size(self._data)
-                if have >= 2 * len(copied):  # Only what the master sends is copied: it is a retry.
+                if have >= 2 * len(copied):  # Only requests are copied, so it is a retry.
                     self._emit_frame(len(copied), _COPIED_RETRY, events)
                     continue
                 if have == len(self._data) and not burst_over:
@@ -537,7 +539,7 @@ class RtuSplitter:
                 is_soon = copies.last == raw and self._is_soon(before_ns)
                 copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                # Where only slaves are heard, equal responses are no copies of a repeater.
+                # If only slaves are heard, equal responses are not a repeater's copies.
                 is_only = self._model.history.hears_only_slaves
                 is_certain = pdu[0] not in ECHOING and not is_only
                 self._copies.hear_response(raw, is_certain=is_certain)

@@ -5,8 +5,8 @@
 # user and of the log, so that the rules in the present profiles apply. Each capture is checked
 # separately; the files of a rotated capture are checked as one.
 #
-# With --start and --end, only the transactions and events in that time are checked. Of what came
-# before, the rules only get to know which connections were opened and closed.
+# With --start and --end, only the transactions and events in that time are checked. From the time
+# before, the rules only learn which connections were opened and closed.
 
 from __future__ import annotations
 

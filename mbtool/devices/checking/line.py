@@ -9,7 +9,7 @@
 # A capture may begin and end inside a frame, so unreadable bytes before the first frame of a line
 # and after the last one are no finding.
 #
-# Memory: some numbers for each line and each of its units (see lru_dict.py).
+# Memory: some numbers for each line and each of its units (LruDict in sliding_window.py).
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Simulates slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
-# Each master has a MasterConnection (tcp_connection.py). The listener (ports/tcp_listener.py)
+# Each master has a MasterConnection. The listener (ports/tcp_listener.py)
 # decides which machines may connect. The rules of the simulated device (connection_policy.py), or
 # Bounds if the device has none, decide how many masters stay connected, and how long.
 #
@@ -17,8 +17,8 @@
 #     waiting       a connection with so many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
-# An FA3 module takes no connections for a while after a remote reset. Its port then stays bound but
-# does not listen, so the system refuses masters, as a real device does while it starts.
+# For a while after a remote reset, an FA3 module accepts no connections. Its port then stays bound
+# but does not listen, so the system refuses masters, as a real device does while it starts.
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder, Response
     from mbtool.slave.device.connection_policy import KeepAlive, Peer
 
-# One master's connection to a TCP slave: requests in, responses out, in the same order.
+# MasterConnection is one master's connection to a TCP slave.
 #
 # Most reads of the socket bring exactly one request, which is answered straight from the buffer.
 # All else goes through the splitter, which finds requests in a stream of bytes: requests in pieces,
