@@ -322,20 +322,22 @@ class ValueFaults(Sense):
         table = FUNCTIONS[key.function].table
         assert table is not None
         size = key.quantity
-        number = LEARN
-        while number * 2 <= min(len(poll.times), LEARNT):
-            number *= 2
-        if len(poll.times) < number:
-            return False
-        rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
         like = self._like.get(key)
         profile = None if like is None else self._assignments.profile_for(like)
-        if profile is None and all(row == rows[0] for row in rows):
+        while True:
+            number = LEARN
+            while number * 2 <= min(len(poll.times), LEARNT):
+                number *= 2
+            if len(poll.times) < number:
+                return False
+            rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
+            if profile is not None or any(row != rows[0] for row in rows):
+                break
             if number < LEARNT:
                 return False
+            # Registers that never changed tell no type, so later answers are looked at.
             del poll.times[: LEARNT - 1], poll.words[: (LEARNT - 1) * size]
             poll.rested += LEARNT - 1
-            return self._find_values(key, poll)
         if poll.learnt == number:
             return True
         times = poll.times[:number].tolist()
