@@ -215,6 +215,8 @@ class Pairing:
         self._last_answer = b""
         done: list[Transaction] = []
         pending, self._pending = self._pending, None
+        if self._held and not self._hears_waits():
+            done += [each for unit in [*self._held] for each in self._release(unit)]
         if pending is not None:
             waited_ns = request.start_ns - pending.end_ns
             waits = self._still_waits(waited_ns)
@@ -302,9 +304,14 @@ class Pairing:
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
+        if not self._hears_waits():
+            return True
         taken_ns = response.start_ns - earlier.adu.end_ns
-        can_be_late = self._ends.timed and earlier.waits is not True
-        return can_be_late and self._earlier.can_take(response.unit, taken_ns)
+        return earlier.waits is not True and self._earlier.can_take(response.unit, taken_ns)
+
+    def _hears_waits(self) -> bool:
+        """True if the times tell how long a slave took and how long the master waited."""
+        return self._ends.timed and self._still_waits(0) is not None
 
     def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:
         self._pending = None
@@ -359,8 +366,15 @@ class Pairing:
         """
         unit = response.unit
         held = self._held[unit]
-        is_answer = response.start_ns - held.responses[-1].end_ns >= held.apart_ns
-        if pending is not None or not (is_answer and fits(held.requests[-1], response)):
+        is_answer = pending is None and fits(held.requests[-1], response)
+        is_answer &= not self._is_damaged  # The damaged bytes may have been its request.
+        if is_answer and self._hears_waits():
+            is_answer = response.start_ns - held.responses[-1].end_ns >= held.apart_ns
+        elif is_answer and response.raw == held.responses[-1].raw:
+            # It may be a repeater's copy, too. Which of two equal requests got it is no question.
+            is_retry = held.requests[0].raw == held.requests[1].raw
+            return self._release(unit, 1.0 if is_retry else EVEN)
+        if not is_answer:
             return self._release(unit)
         del self._held[unit]
         done = self._unanswered_of(self._earlier.take_all_of(unit))
@@ -369,15 +383,17 @@ class Pairing:
             done.append(self._answered(request, one, is_late=True))
         return done
 
-    def _release(self, unit: int) -> list[Transaction]:
+    def _release(self, unit: int, confidence: float = 1.0) -> list[Transaction]:
         """Return the transactions of a unit's held responses, each with its own request, and those
         of the requests before them.
+
+        `confidence` (0 to 1) tells how surely each response is to its own request.
         """
         held = self._held.pop(unit)
         done = [self._unanswered_request(held.requests[0])]
         done += self._unanswered_of(self._earlier.take_all_of(unit))
         for request, response in zip(held.requests[1:], held.responses, strict=True):
-            done.append(self._answered(request, response))
+            done.append(self._answered(request, response, confidence=confidence))
         return done
 
     def _answered(

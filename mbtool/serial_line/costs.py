@@ -257,9 +257,9 @@ NOISE_LIMITS = (2.0, 9.0)
 MIN_NOISE_IN_WINDOW = 4.0
 """The least cost, in bits, of noise after a frame. Each group of skipped bytes makes the next group
 in the same search 1 bit cheaper, but not cheaper than this."""
-OFTEN_SKIPPED = 4.0
-"""If the learned cost, in bits, of skipped bytes or of noise is at most this, they are frequent on
-this line: before one frame in 16."""
+OFTEN_SKIPPED = 1 / 16
+"""If at least this share of frames (0 to 1) has skipped bytes before it, or noise, these are
+frequent on this line."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0

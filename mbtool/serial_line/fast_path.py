@@ -90,8 +90,9 @@ class FastPath:
 
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
-        self._run_size -= removed
-        self._run_decided += removed
+        if self._run_size > 0:
+            self._run_size -= removed
+            self._run_decided += removed
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []

@@ -48,6 +48,9 @@ class LineHistory:
         self.merges_briefly = False
         """True if the adapter merges frames, but never for so long that a request and its retry
         come as one burst."""
+        self.may_merge_long = False
+        """True if the adapter merges frames, and may hold bytes back for so long: then a silence
+        before a frame may be the adapter's."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -130,7 +133,9 @@ class LineHistory:
             return None
         if self.timeout.is_known:
             return self.timeout.is_not_over(waited_ns)
-        return waited_ns < LatencyStatistics.MIN_RETRY_NS
+        if waited_ns < LatencyStatistics.MIN_RETRY_NS:
+            return True
+        return None if self.may_merge_long else False
 
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
         """The cost, in bits, of supposing that a unit answers `pending` after it was silent lately.
