@@ -41,6 +41,9 @@ _KEPT = "-kept"
 """Stands behind the number of a file that `keep_around` keeps."""
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
+MIN_KB = 20
+"""The least limit in size, in kB. What each file begins and ends with takes 2 to 12 kB (measured),
+so that files of less would hold hardly anything else."""
 _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -56,11 +59,18 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `100MB` or `1h`. Raises UsageError for a text that is neither a size nor a time."""
+        """Read `100MB` or `1h`. Raises UsageError for a text that is neither a size nor a time, and
+        for a size below MIN_KB.
+        """
         match = _PATTERN.fullmatch(text)
         if match is not None and int(match["number"]) > 0:
             number, suffix = int(match["number"]), match["suffix"].lower()
             if suffix in _SIZES:
+                if number * _SIZES[suffix] < MIN_KB * _SIZES["kb"]:
+                    raise UsageError(
+                        f"rotation {text!r}: a file without any transaction may have 12 KB; "
+                        f"write {MIN_KB}KB or more"
+                    )
                 return cls(size=number * _SIZES[suffix])
             if suffix in _TIMES:
                 return cls(time_ns=number * _TIMES[suffix] * SECOND_NS)

@@ -78,9 +78,33 @@ _LONGEST_LATER_TURN_NS = 180_000_000_000
 heard since, such as that before a request out of turn, is soon forgotten."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
+SLICE_NS = 20_000_000
+"""The longest single wait for a response, in ns."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
+
+
+class Patience:
+    """A time for which something is awaited, in waits of at most SLICE_NS.
+
+    A wait that takes longer than that, as this process got no processor, counts as SLICE_NS: the
+    slave may be on the same machine, and what it sent meanwhile is read at the next look.
+    """
+
+    def __init__(self, wait_ns: int, most_ns: int = SLICE_NS) -> None:
+        """A single wait counts as `most_ns` at most."""
+        self._wait_ns, self._most_ns = wait_ns, most_ns
+        self._looked_ns = time.monotonic_ns()
+        self.waited_ns = 0
+        """The time that counts, in ns."""
+
+    def next_ns(self) -> int:
+        """Return how long to wait next, in ns; 0 or less if the time is over."""
+        now_ns = time.monotonic_ns()
+        self.waited_ns += min(now_ns - self._looked_ns, self._most_ns)
+        self._looked_ns = now_ns
+        return min(self._wait_ns - self.waited_ns, SLICE_NS)
 
 
 class ReceivedResponse(NamedTuple):
@@ -195,16 +219,18 @@ class MasterLink(ABC):
 
     def _is_answered(self, wait_ns: int) -> bool:
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
-        until_ns = time.monotonic_ns() + wait_ns
-        rest_ns = wait_ns
+        patience = self._patience(wait_ns)
         while self._asked not in self.lost():
             # Read once more after the timeout, because this process may have been suspended.
+            rest_ns = patience.next_ns()
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
             if rest_ns <= 0:
                 return False
-            rest_ns = until_ns - time.monotonic_ns()
         return False
+
+    def _patience(self, wait_ns: int) -> Patience:
+        return Patience(wait_ns)
 
     def _note_request(
         self, unit: int, pdu: bytes, raw: bytes, transaction_id: int | None = None
@@ -623,6 +649,10 @@ class SerialMaster(MasterLink):
         until_ns = time.monotonic_ns() + time_ns
         while self._other is not None and time.monotonic_ns() < until_ns:
             self._overhear_other()
+
+    def _patience(self, wait_ns: int) -> Patience:
+        # The pause of another master ends, whether this process runs or not.
+        return Patience(wait_ns, SLICE_NS if self._other is None else wait_ns)
 
     def _overhear_other(self) -> None:
         assert self._other is not None

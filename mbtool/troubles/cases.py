@@ -111,6 +111,8 @@ class Cases(Sense):
         for counts in run.connections:
             if counts.first_opened_ns is not None:
                 self._note_opened((counts.link, counts.host), counts.first_opened_ns)
+        if run.longest_ns < SLOW_NS:
+            return
         for kind in run.kinds:
             latencies, like = kind.latencies, kind.like
             if max(latencies) < SLOW_NS:

@@ -182,6 +182,8 @@ class Gateways(Sense):
     def run(self, run: AnsweredRun) -> None:
         for form in run.forms():
             self._shared_by(form.like)
+        if run.longest_ns < min(WAIT_NS, SLOW_NS):
+            return
         for kind in run.kinds:
             like, longest_ns = kind.like, max(kind.latencies)
             if longest_ns < min(WAIT_NS, SLOW_NS):

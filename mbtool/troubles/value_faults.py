@@ -240,7 +240,11 @@ class ValueFaults(Sense):
                 self._note_write(one.link, one.unit, function.table, span)
                 continue
             key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
-            poll = self._polls.get(key) or self._new_poll(key)
+            poll = self._polls.get(key)
+            if poll is None:
+                if len(self._polls) >= MAX_POLLS:
+                    continue
+                poll = self._new_poll(key)
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())

@@ -263,7 +263,7 @@ class Conformance:
         problem = self._problem(pdu, sent, heard, begin_ns)
         is_note = False
         if problem.endswith(_NO_ANSWER) and isinstance(self._link, SerialLink):
-            again = self._wire.send([sent])
+            again = self._repeated(sent)
             if again.raw and not self._problem(pdu, sent, again, time.monotonic_ns()):
                 problem += ", and the right one when it was asked again"
                 self._lost += 1
@@ -279,8 +279,13 @@ class Conformance:
         for _ in range(_PAUSES):
             if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
                 return False
-            heard = self._wire.send([self._wire.adu(self._unit, pdu)])
+            heard = self._repeated(self._wire.adu(self._unit, pdu))
         return True
+
+    def _repeated(self, sent: bytes) -> Heard:
+        """Send a request again. A late answer is awaited: the next request would get it."""
+        heard = self._wire.send([sent])
+        return heard if heard.raw or heard.is_closed else self._wire.hear(self._late_ns)
 
     def _problem(self, pdu: bytes, sent: bytes, heard: Heard, begin_ns: int) -> str:
         """Compare what came with what the model answers; empty if they agree.
@@ -318,13 +323,12 @@ class Conformance:
 
     def _late(self, begin_ns: int) -> str:
         """Wait on for an answer that has not come in time; say how late it is, if it comes."""
-        before_ns = time.monotonic_ns() - begin_ns
-        heard = self._wire.hear(self._late_ns)
+        heard = self._wire.hear(self._late_ns, begin_ns)
         if not heard.raw:
             self._late_ns = 0 if self._unanswered >= MOST_SILENT else self._late_ns
             return ""
         self._unanswered, self._late_ns = 0, _LATE_NS
-        return f"the answer only after {duration(before_ns + heard.after_ns)}"
+        return f"the answer only after {duration(heard.after_ns)}"
 
     def _answered_read(self) -> bytes:
         """Return the PDU of a read that the profile's device answers with values."""
