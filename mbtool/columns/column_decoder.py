@@ -17,12 +17,12 @@ other packets that may carry Modbus to the Decoder.
 # the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
 # connection has ended.
 #
-# Where the packets' times go back by PATIENCE_NS or more, or where the reassembler may reach a
-# limit (idle time, number of connections) and drop an open connection, the results depend on the
-# order of all packets of all connections. Then the block is cut in halves again and again, and the
-# Decoder is fed all packets of those parts that are SMALLEST or smaller. A block with very many
-# connections is decoded in several parts, each with so few that they cannot make the reassembler
-# drop one of them.
+# In two cases the results depend on the order of all packets of all connections: the packets' times
+# go back by PATIENCE_NS or more, or the reassembler may reach a limit (idle time, number of
+# connections) and drop an open connection. Then the block is cut in halves again and again, until
+# the Decoder is fed all packets of a part of at most SMALLEST packets. A block with very many
+# connections is decoded in several parts, each with so few connections that they cannot make the
+# reassembler drop one of them.
 
 from __future__ import annotations
 

@@ -4,8 +4,9 @@
 # to the pairing. The time of a frame, for its first and last byte alike, is the time at which the
 # program noted it. If the log has no times, only the order of the frames is known.
 #
-# A chunk that is no frame, or a frame with a wrong CRC, becomes a skipped event. Memory: that of
-# the pairing.
+# A chunk that is no frame, or a frame with a wrong CRC or LRC, becomes a skipped event.
+#
+# Memory: that of the pairing.
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@
 # - Out of step, an ADU of an unknown function, or one longer than 260 bytes, is accepted if it
 #   begins with a segment and ends with one, or is followed by a header. An ADU of a known function
 #   needs only one of these: it begins with a segment, it ends with a segment, or a header follows
-#   it. If its PDU has not the length that its function tells, it must be one whole segment.
+#   it. If its PDU does not have the length of its function, it must be one whole segment.
 # - While an ADU of an unknown function, or one longer than 260 bytes, is incomplete, its header is
 #   rejected if a whole ADU behind the header begins and ends with a segment. If the header's
 #   function is known, a whole ADU that only ends with a segment is enough to reject the header.

@@ -50,8 +50,8 @@ MAX_LINKS = 65_536
 MAX_PAIRS = 4096
 _MAX_HOSTS = 65_536
 _FEW = 256
-"""A poll that has at most so many requests before it goes need not be counted by itself: its counts
-are the sums of its requests, as no latency is rounded."""
+"""A poll that is removed after at most so many requests need not be counted by itself: its counts
+are the sums over its requests, because no latency is rounded."""
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
 _SUMS_OF_EVENTS = {
@@ -332,8 +332,8 @@ class Account:
         """Count the requests of a batch that has more polls than there is room for. `keys` and
         `likes` have the key and the example of each group of its requests.
 
-        Most polls come and go within the batch, so that only their function keeps their counts.
-        Those are not counted with the poll first.
+        Most of these polls are added and removed within the batch, so that only their function
+        keeps their counts. Their requests are counted with the function at once.
         """
         numbers: dict[PollKey, int] = {key: number for number, key in enumerate(self.polls)}
         number_of = [numbers.setdefault(key, len(numbers)) for key in keys]

@@ -27,8 +27,8 @@
 #
 # Keep-alive probes, as the alive check of the FA3 modules sends them, repeat the byte before the
 # next expected one, or carry its sequence number and no byte (RFC 1122, 4.2.3.6). They are counted.
-# If the capture starts in the middle of a stream, and the byte behind a first single byte does not
-# come in time, that single byte is a probe too.
+# If the capture begins in the middle of a stream with a single byte, and the next byte does not
+# come in time, that single byte is a probe, too.
 #
 # Times. A byte has the time at which it and all bytes before it had been captured. So bytes that
 # waited for earlier bytes get the time of those earlier bytes.

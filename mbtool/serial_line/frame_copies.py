@@ -5,8 +5,9 @@
 #
 # - Silences are heard, and no request has come without a copy: one copy is enough if the request
 #   cannot be a response by its form, since no master repeats a request without a silence of t3.5.
-# - The same, but not even the short pause between request and copy is heard: the adapter may have
-#   merged a request with its retry. So an earlier request that came twice must have got a response.
+# - As above, but the adapter does not even show the short pause between request and copy: it may
+#   have merged a request with its retry. So an earlier request that came twice must have got a
+#   response.
 # - No silences are heard: a copy may be a retry. So ENOUGH_COPIES requests in a row must have come
 #   twice.
 # - A request that came twice without a response counts neither for an echo nor against one: the
@@ -14,9 +15,10 @@
 #
 # A repeater sends each frame again, so each response comes twice, too. No slave answers one request
 # twice. So ENOUGH_COPIES responses in a row that came twice, each without a request between the
-# two, prove a repeater. One is enough if its request came twice sooner than any master repeats it.
-# Until then, and after ENOUGH_SINGLE responses in a row without a copy, the second copy is a
-# response that nobody requested.
+# two, prove a repeater. One response that came twice is enough if its request also came twice, and
+# sooner than any master repeats a request. Before a repeater is proved, and after ENOUGH_SINGLE
+# responses in a row without a copy, the second copy of a response counts as a response that nobody
+# requested.
 #
 # Memory: the last request and the last response.
 

@@ -13,7 +13,7 @@
 # bytes that came meanwhile.
 #
 # The driver's reports of damaged and lost bytes follow the record of the bytes that were read
-# (line_errors.py).
+# (ports/line_errors.py).
 
 from __future__ import annotations
 

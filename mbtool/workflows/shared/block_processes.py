@@ -11,8 +11,8 @@
 # Memory: SLOTS blocks for each child, and their lines.
 #
 # If a child is killed, the main process notices that its replies end. Each child is in a process
-# group of its own (child.py), so Ctrl-C reaches only the main process. A child ends when its
-# standard input is closed.
+# group of its own (sources/child.py), so Ctrl-C reaches only the main process. A child ends when
+# its standard input is closed.
 
 from __future__ import annotations
 
