@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
@@ -44,7 +44,7 @@ _SUFFIXES = {
 }
 
 
-@takes_groups
+@with_option_groups
 def check(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.option_groups import OptionGroup, takes_groups
+from mbtool.cli.option_groups import OptionGroup, with_option_groups
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
@@ -98,7 +98,7 @@ class LineOptions(OptionGroup):
         return assignments(texts)
 
 
-@takes_groups
+@with_option_groups
 def extcap(
     *,
     install: Annotated[

@@ -513,7 +513,7 @@ class NetworkPairing:
         for step in steps:
             if step.response is not None:
                 done.append(self._responded(step.response, step))
-                self._excuse_others(step.response, step)
+                self._mark_others_answerable(step.response, step)
                 continue
             for one in step.requests:
                 if one.adu is not None:
@@ -521,7 +521,7 @@ class NetworkPairing:
         while len(reading.passed) > MAX_PASSED:
             self._close(reading.passed.pop(0), done)
 
-    def _excuse_others(self, response: Adu, step: PairStep) -> None:
+    def _mark_others_answerable(self, response: Adu, step: PairStep) -> None:
         """Note that open requests may have got `response`, if that is not known for a loss."""
         is_lost = bool(step.requests) and step.requests[0].adu is None
         is_doubtful = not step.is_sure or self._is_doubtful
@@ -575,7 +575,7 @@ class NetworkPairing:
         if one.adu.unit != response.unit:
             verdicts += (Verdict.OTHER_UNIT,)
         if self._doubt is not None:
-            self._doubt.note_pair(response, place, one, self._most_waiting)
+            self._doubt.exclude_shifts(response, place, one, self._most_waiting)
             is_sure = is_sure and not self._is_doubtful
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)

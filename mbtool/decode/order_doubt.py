@@ -62,7 +62,7 @@ class OrderDoubt:
             self._is_whole &= len(queue.requests) < 2 * MAX_SHIFT
             queue.requests.append(request)
 
-    def note_pair(
+    def exclude_shifts(
         self, response: Adu, place: AduPlace | None, request: OpenRequest, most_waiting: int
     ) -> None:
         """Exclude the shifts that are impossible for a response paired with `request`.
@@ -72,7 +72,7 @@ class OrderDoubt:
         queue = self._queues.get(request.transaction_id)
         if queue is not None:
             shifts = self._shifts(most_waiting)
-            queue.note_pair(response, place, request, shifts, is_whole=self._is_whole)
+            queue.exclude_shifts(response, place, request, shifts, is_whole=self._is_whole)
 
     def is_settled(self, most_waiting: int) -> bool:
         """True if no other order is possible for a master with so many requests open at most."""
@@ -96,7 +96,7 @@ class _Queue:
         self._answered: OpenRequest | None = None
         """The request that was answered last; None if there is none yet."""
 
-    def note_pair(
+    def exclude_shifts(
         self,
         response: Adu,
         place: AduPlace | None,

@@ -365,7 +365,11 @@ class TcpConnection:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
         end = start + len(data)
-        receipt = other.receipt(segment.acknowledgement, WINDOW) if segment.flags & ACK else None
+        receipt = (
+            other.acknowledged_position(segment.acknowledgement, WINDOW)
+            if segment.flags & ACK
+            else None
+        )
         if data:
             piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt, origin)
             self._take_piece(sender, other, piece)

@@ -224,14 +224,14 @@ class TcpListener:
         Call this once for each connection: each call counts as one connection for the limit on the
         rate.
         """
-        stranger = self.stranger(host)
-        if stranger is not None:
-            return stranger
+        refusal = self.refusal_text(host)
+        if refusal is not None:
+            return refusal
         if not self._rate.admits(time.monotonic()):
             return f"more than {self._rate.per_second:g} connections a second; see --max-rate"
         return None
 
-    def stranger(self, host: str) -> str | None:
+    def refusal_text(self, host: str) -> str | None:
         """Return a text that says that no peer with this address may connect; None if it may."""
         return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 

@@ -385,7 +385,7 @@ class BusModel:
         history, state = self.history, self.state
         if unit in history.answering or pdu[0] not in ECHOING:
             return False
-        if history.hears_wait(start_ns - (state.last_ns or 0)):
+        if history.shows_master_wait(start_ns - (state.last_ns or 0)):
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0
@@ -404,7 +404,7 @@ class BusModel:
             return False
         if unit not in history.answering or (unit, pdu[0]) in history.usual_echoes:
             return False
-        return not history.hears_wait(start_ns - pending.awaited_from_ns)
+        return not history.shows_master_wait(start_ns - pending.awaited_from_ns)
 
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame that equals the pending request may be a retry or a slow response.

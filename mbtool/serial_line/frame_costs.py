@@ -144,7 +144,7 @@ def _early_cost(
     if not history.trusts_silences:
         return 0.0
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
-    if waited_ns <= 0 and not history.hears_wait(waited_ns):
+    if waited_ns <= 0 and not history.shows_master_wait(waited_ns):
         return 0.0  # The frames were merged, and nothing tells how long the master waited.
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         is_whole = is_retry and pending.pdu[0] in WRITE_SEVERAL and not history.timeout.is_known
@@ -299,7 +299,7 @@ def _lateness_cost(
         return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
     most, timeout = costs.MAX_ECHO_LATENESS, history.timeout
     if timeout.is_known:
-        share = timeout.share_over(silence_ns)
+        share = timeout.over_probability(silence_ns)
         if share >= 1.0 and latency.doublings_late(silence_ns) > costs.NEAR_DOUBLINGS:
             return costs.MAX_ECHO_LATENESS
         if share > 0.0:

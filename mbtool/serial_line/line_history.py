@@ -115,7 +115,7 @@ class LineHistory:
         unit, begin = head[0], head[1:]
         return any(pdu.startswith(begin[: len(pdu)]) for one, pdu in self.requests if one == unit)
 
-    def hears_wait(self, waited_ns: int) -> bool:
+    def shows_master_wait(self, waited_ns: int) -> bool:
         """True if `waited_ns` between two frames tells how long the master waited.
 
         If it is 0, an adapter has merged the two, and may have held them back for long.

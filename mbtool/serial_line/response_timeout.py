@@ -102,7 +102,7 @@ class ResponseTimeout:
         """True if the timeout is known and the master is still waiting after `wait_ns`."""
         return wait_ns < self._running_until_ns
 
-    def share_over(self, wait_ns: int) -> float:
+    def over_probability(self, wait_ns: int) -> float:
         """Return how sure it is, from 0 to 1, that the timeout is over after `wait_ns`.
 
         The result is 0 if the timeout is unknown. It is also 0 for waits longer than those after

@@ -539,7 +539,7 @@ class RtuSplitter:
             waited_ns = before_ns or 0
             if (
                 self._copies.copied
-                and not model.history.hears_wait(waited_ns)
+                and not model.history.shows_master_wait(waited_ns)
                 and self._copies.may_copy_retry(raw, self._data[size:])
             ):
                 confidence = min(confidence, UNSURE)

@@ -176,7 +176,7 @@ class Cases(Sense):
         ]
         return _first(found)
 
-    def proved(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
+    def with_evidence(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles; those that only figures show get their cases as evidence."""
         for one in troubles:
             found: Iterable[Evidence] = one.evidence

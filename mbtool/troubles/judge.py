@@ -237,7 +237,8 @@ class Judge:
         found += rule_troubles(self.findings)
         several = len(links) > 1
         named = [
-            replace(one, names_link=several) for one in self._cases.proved(_unexplained(found))
+            replace(one, names_link=several)
+            for one in self._cases.with_evidence(_unexplained(found))
         ]
         return Judgement(_in_order(_joined(named)), links)
 

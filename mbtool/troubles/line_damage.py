@@ -221,7 +221,7 @@ class LineDamage(SortedSense):
             unit.answered += 1
             unit.last = one
             unit.latency_ns += one.latency_ns
-        self._give(line)
+        self._assign_damage(line)
         if line.last is not None and line.last.unit != one.unit:
             line.before = line.last
         line.last, line.odd = one, 0
@@ -274,7 +274,7 @@ class LineDamage(SortedSense):
             line.interrupted.append(waited_ns)
             keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
 
-    def _give(self, line: _DamagedLine) -> None:
+    def _assign_damage(self, line: _DamagedLine) -> None:
         """Assign the damaged frames since the last transaction: to its answer if it has none."""
         held, last = [*line.held], line.last
         line.held.clear()
@@ -336,7 +336,7 @@ class LineDamage(SortedSense):
 def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
     if not doubles:
-        doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
+        doubles = [number for number, unit in line.units.items() if _has_two_slaves(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
     is_told = line.is_told and not doubles
@@ -358,7 +358,7 @@ def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iter
             victims=tuple(
                 each for each, other in line.units.items() if other.answered or each == number
             ),
-            figures={"how": _how_double(unit), "other": _other_double(unit, count)},
+            figures={"how": _how_double(unit), "other": _colliding_unit_text(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -393,8 +393,8 @@ def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
     groups: list[tuple[int, list[PollStatistics]]] = []
     for poll in sorted(polls, key=lambda one: one.period.percentile(50)):
         period, usual_ns = poll.period, poll.period.percentile(50)
-        near = period.number_from(round((1 - EVEN) * usual_ns))
-        near -= period.number_from(round((1 + EVEN) * usual_ns))
+        near = period.count_at_least(round((1 - EVEN) * usual_ns))
+        near -= period.count_at_least(round((1 + EVEN) * usual_ns))
         if period.count < ENOUGH_PERIODS or near < ALIKE * period.count:
             continue
         if groups and usual_ns <= (1 + EVEN) * groups[-1][0]:
@@ -444,7 +444,7 @@ def _how_double(unit: _DamagedUnit) -> str:
     return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
 
 
-def _other_double(unit: _DamagedUnit, count: int) -> str:
+def _colliding_unit_text(unit: _DamagedUnit, count: int) -> str:
     """Name the unit that is asked right before in most cases, whose second answer may be what
     collides.
     """
@@ -453,7 +453,7 @@ def _other_double(unit: _DamagedUnit, count: int) -> str:
     return f", or as unit {before}, which is asked right before it" if is_likely else ""
 
 
-def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
+def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds

@@ -179,7 +179,7 @@ def _pause(polls: list[PollStatistics]) -> PollingPause | None:
         return None
     usual_ns = poll.period.percentile(50)
     pause_ns = max(PAUSE_NS, PAUSE_TIMES * usual_ns)
-    number = poll.period.number_from(pause_ns)
+    number = poll.period.count_at_least(pause_ns)
     if not number:
         return None
     cases = tuple(one for one in poll.longest if one[0] >= pause_ns)
@@ -202,7 +202,7 @@ def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
         if latency.greatest < late_ns:
             continue
         unit = poll.key.link, poll.key.unit
-        number = latency.number_from(late_ns)
+        number = latency.count_at_least(late_ns)
         one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns, (poll,))
         other = found.get(unit)
         found[unit] = one if other is None else _with(other, one)

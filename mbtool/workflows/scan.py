@@ -151,13 +151,13 @@ class Scan:
                 self.state.units.append(found)
             self.state.next_unit = place + 1
             yield unit
-            if self._is_tcp and place + 1 == _LEAST_SAME and self._is_any(numbers):
+            if self._is_tcp and place + 1 == _LEAST_SAME and self._answers_all_units(numbers):
                 self.state.units[1:] = []
                 self.state.units[0].is_any = True
                 self.state.next_unit = len(numbers)
                 return
 
-    def _is_any(self, numbers: Sequence[int]) -> bool:
+    def _answers_all_units(self, numbers: Sequence[int]) -> bool:
         """True if one device answers for all units: the first ones gave equal answers, and so does
         the last one.
         """

@@ -151,7 +151,7 @@ class LineRules:
             silences = line.silences
             if line.format is not None and self._has_exact_times(link):
                 yield from silences.exact_findings(line.format)
-            elif silences.are_in_blocks and silences.masters_tear:
+            elif silences.are_in_blocks and silences.master_splits_requests:
                 yield silences.torn_finding()
             elif silences.are_in_blocks:
                 yield silences.block_finding()

@@ -115,7 +115,7 @@ class Host(Protocol):
         for as long as they say.
         """
 
-    def once_closed(self, ends: Callable[[], None]) -> None:
+    def after_rules_applied(self, ends: Callable[[], None]) -> None:
         """Apply the rules, and call `ends` once they are in force."""
 
 
@@ -336,7 +336,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._end_timer = self._loop.call_later(rest_s, self._end_as_planned, ending)
             return
         self._rules.ends(self.peer, self._clock())
-        self._shell.once_closed(lambda: self._end(b"", ending))
+        self._shell.after_rules_applied(lambda: self._end(b"", ending))
 
     def _end(self, last: bytes, ending: ConnectionEnding) -> None:
         """Send the bytes `last`, then close or reset the connection, as `ending` says."""
@@ -501,7 +501,7 @@ class TcpSlave(Shell):
         if self._closed_s() > 0:
             self._woken.set()
 
-    def once_closed(self, ends: Callable[[], None]) -> None:
+    def after_rules_applied(self, ends: Callable[[], None]) -> None:
         if self.rules.changed:
             self.follow_rules()
         if self._closed_s() > 0 and not self._is_closed:
