@@ -28,8 +28,9 @@
 # pending request if it fits, if no earlier request can still wait for its response (the capture
 # lacks no bytes), and if either this slave never repeated an id correctly, or acknowledgements show
 # that nothing came between the request and the response. It may also repeat the id and respond with
-# another unit, as a module that ignores the unit does: then it belongs to the only pending request,
-# which no missing bytes and no other ADU separate from it.
+# another unit, as a module that ignores the unit does (asked as FFH, it calls itself 1): then it
+# belongs to the only pending request with the id, which no missing bytes and no other ADU separate
+# from it. Where the capture begins within the connection, that holds once ids are known to vary.
 #
 # A response without a request is unsolicited. If the capture lacked requests of this connection in
 # the TIMEOUT_NS before it, its request may be among these, and is only not captured. So it is if
@@ -57,6 +58,7 @@ from mbtool.decode.pairing_readings import (
     MARGIN,
     MAX_BEFORE,
     MAX_PASSED,
+    REQUEST_BEFORE,
     UNASKED,
     PairOption,
     PairReading,
@@ -395,6 +397,13 @@ class NetworkPairing:
         self, reading: PairReading, response: Adu, place: AduPlace | None, *, is_only_one: bool
     ) -> list[PairOption]:
         found = [*options(reading, response, place, self._habits)]
+        is_before = all(option.request is REQUEST_BEFORE for option in found)
+        if found and is_before and is_only_one:
+            one = self._of_other_id(reading, response, place)
+            if one is not None and one.transaction_id == response.transaction_id:
+                if self._habits.ids_vary:
+                    return [PairOption(0.0, one)]
+                one.may_be_lost = True  # This may be its response.
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
@@ -411,6 +420,9 @@ class NetworkPairing:
         acknowledges a new request with the response to an earlier one.
         """
         requests = [*reading.passed, *reading.waiting]
+        if len(requests) > 1 and self._habits.ids_vary:
+            same = response.transaction_id
+            requests = [one for one in requests if one.transaction_id == same]
         if len(requests) != 1:
             return None
         (one,) = requests
