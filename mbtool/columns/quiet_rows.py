@@ -89,7 +89,7 @@ class QuietParts:
         Consecutive reads and writes without findings come together as one BlockRows, if they are at
         least FEWEST.
         """
-        # Slaves with a profile may have rules about connections, which take each event.
+        # A slave with a profile may have rules about connections, which need every event.
         passed = None if any(self._objects.namer.assignments) else decoded.passed
         records = decoded.sorted_records(with_passed=passed is None)
         self._sunspec.note(records)
@@ -294,7 +294,7 @@ class _QuietBlock:
         rows = self._rows
         latency = rows.response_ns[begin:end] - rows.request_ns[begin:end]
         places = np.flatnonzero(latency >= least_ns)
-        # Of equal latencies the first ones count as the longest.
+        # Among equal latencies, the earlier ones count as longer.
         order = places[np.lexsort((places, -latency[places]))]
         groups = _alike(self._unit[begin:end][order], 0, len(order)) if len(order) else []
         longest = [order[np.sort(group)[:most]] for group in groups]
@@ -365,7 +365,7 @@ class _QuietBlock:
             [times[start:stop] for start, stop in bounds],
             strict=True,
         )
-        polls = [*map(QuietPoll._make, fields)]  # Faster than to call QuietPoll.
+        polls = [*map(QuietPoll._make, fields)]  # Faster than calling QuietPoll.
         number = np.empty(len(first), np.int64)
         number[by_last] = np.arange(len(first))
         return polls, number[groups.number]

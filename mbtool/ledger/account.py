@@ -1,18 +1,18 @@
-"""The account of a capture or of live links: counts requests per link, unit, master and poll."""
+"""The account: the statistics of a capture or of live links, by link, unit, master and poll."""
 
-# This is the only place where requests are counted by poll and by unit (docs/stats.md says what
-# each count means). A poll is all equal requests of one master to one unit. Each transaction is
-# counted with its poll at once; the counts of a unit, a function, a master or a link are the sums
-# of their polls, and of what has no poll (UseAccount). Counts over time are in bins
-# (time_bins.py). Periods, retries and poll cycles need the requests sorted by time, which
-# request_order.py does.
+# This is the only place where requests are counted by poll and by unit (docs/stats.md defines each
+# count). A poll is all equal requests of one master to one unit. Each transaction is counted at
+# once in its poll. The counts of a unit, a function, a master or a link are the sums of the counts
+# of their polls; a UseAccount has the counts of requests that belong to no poll. time_bins.py has
+# the counts over time. Periods, retries and poll cycles need the requests sorted by time:
+# request_order.py sorts them.
 #
 # Memory. At most MAX_POLLS polls: at the limit, the poll whose last request is oldest is removed,
 # and its counts are added to those of its function. At most MAX_UNITS units, MAX_USES functions of
-# units, MAX_MASTERS masters, MAX_LINKS links and MAX_PAIRS pairs of link and master; and what
-# time_bins.py and request_order.py keep, and observation.py if it is asked for. Links, and units
-# and functions, beyond their limits are counted together. A poll takes 2 to 10 KB in practice, and
-# 130 KB if all its latencies and periods differ.
+# units, MAX_MASTERS masters, MAX_LINKS links and MAX_PAIRS pairs of link and master. Further links,
+# units and functions are counted together. A poll takes 2 to 10 KB in practice, and 130 KB if all
+# its latencies and periods differ. time_bins.py, request_order.py and observation.py (only on
+# request) state their own memory.
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ MAX_LINKS = 65_536
 MAX_PAIRS = 4096
 _MAX_HOSTS = 65_536
 _FEW = 256
-"""A poll that has at most so many requests before it goes need not be counted by itself: its counts
-are the sums of its requests, as no latency is rounded."""
+"""A poll that is removed after at most so many requests need not be counted by itself: its counts
+are the sums over its requests, because no latency is rounded."""
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
 _SUMS_OF_EVENTS = {
@@ -94,10 +94,10 @@ class Account:
         """Make an empty account.
 
         `format_of` is called with the name of a link. It returns the baud rate and character format
-        of a serial line, None if they are unknown. `on_retry` is told of retries, after they are
-        counted, as `count_retry` is. `is_part` says that the account gets only some of the requests
-        of an account of all: retries are then not looked for, and the caller tells them with
-        `count_retry`. With `observes`, the account has what tells one device from another.
+        of a serial line, None if they are unknown. `on_retry` is called for each retry after
+        it was counted, with the arguments of `count_retry`. `is_part` is True if the account gets
+        only some of the requests of another account: then it does not look for retries, and the
+        caller adds them with `count_retry`. With `observes`, it notes what identifies a device.
         """
         self._format_of = format_of
         self._on_retry = on_retry
@@ -320,7 +320,7 @@ class Account:
         ]
         for poll, latencies in run.latencies_of(polls).items():
             poll.tally.latency.add_all(latencies)
-        # `self.polls` is kept in the order of the last requests, as the first poll is removed at
+        # `self.polls` is in the order of the last requests, because the first poll is removed at
         # the limit.
         for one in reversed(dict.fromkeys(reversed(run.kind))):
             self.polls.move_to_end(keys[one])
@@ -332,8 +332,8 @@ class Account:
         """Count the requests of a batch that has more polls than there is room for. `keys` and
         `likes` have the key and the example of each group of its requests.
 
-        Most polls come and go within the batch, so that only their function keeps their counts.
-        Those are not counted with the poll first.
+        Most of these polls are added and removed within the batch, so that only their function
+        keeps their counts. Their requests are counted with the function at once.
         """
         numbers: dict[PollKey, int] = {key: number for number, key in enumerate(self.polls)}
         number_of = [numbers.setdefault(key, len(numbers)) for key in keys]
@@ -443,7 +443,7 @@ class Account:
         cell[place] += 1
         if place is not LinkSum.LACKING:
             cell[LinkSum.BYTES] += len(event.raw)
-            if link.transport is not None:  # The time before its first request is not watched.
+            if link.transport is not None:  # Count only after its first request.
                 link.other_bytes += len(event.raw)
         link.bad_checks += place is LinkSum.BAD_CHECK
 

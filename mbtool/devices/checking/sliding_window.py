@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices.checking.security_limits import SecurityLimit
 
-# A dictionary of bounded size, for the state of many connections, units or requests.
+# LruDict is a dictionary of bounded size for the state of many connections, units or requests.
 
 K = TypeVar("K", bound="Hashable")
 V = TypeVar("V")

@@ -80,6 +80,8 @@ class EvidenceMarks:
     slave's end, or on a serial line its link and unit."""
     items: int = 0
     """The number of packets and reads that were decoded."""
+    errors: list[WireEvent] = field(default_factory=list)
+    """The events that the files themselves have, such as a framing error of a serial line."""
 
 
 class EvidenceReading(Reading):
@@ -133,6 +135,8 @@ class EvidenceReading(Reading):
             elif isinstance(item, Chunk):
                 yield self._placed(item)
             else:
+                if isinstance(item, WireEvent):
+                    self.marks.errors.append(item)
                 yield item
 
     def _own_decoder(self) -> Decoder:
