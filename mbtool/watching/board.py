@@ -168,9 +168,6 @@ class TroubleRow(NamedTuple):
     last_ns: int
 
 
-WatchRow = PollRow | WatchedPointRow | RecordRow | WatchedSlaveRow | TroubleRow
-
-
 def poll_rows(board: Board) -> list[PollRow]:
     """Return the repeated requests in the order in which they were first sent."""
     polls = sorted(board.polls.items())

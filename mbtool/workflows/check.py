@@ -51,8 +51,6 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
-    WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
-
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 

@@ -229,7 +229,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the seed of the first one")
     options = parser.parse_args()
     plain = rows = differing = 0
-    for number in range(options.first, options.first + options.captures):
+    for done, number in enumerate(range(options.first, options.first + options.captures), 1):
         rng = random.Random(f"cut {number}")
         made = disturbed(number) if number % 2 else generated(number)
         capture = damaged(in_ipv6(made) if number % 3 == 2 else made, rng)
@@ -245,11 +245,9 @@ def main() -> None:
         differing += bool(found)
         if found:
             print(f"capture {number}, blocks of {size}, {profile}: {'; '.join(found)}", flush=True)
-    print(
-        f"{options.captures} captures, {rows} transactions, {plain} of them read as arrays: ",
-        end="",
-    )
-    print(f"{differing} captures differ")
+        if done % 50 == 0 or done == options.captures:
+            told = f"{done} captures, {rows} transactions, {plain} of them read as arrays"
+            print(f"{told}: {differing} captures differ", flush=True)
 
 
 if __name__ == "__main__":

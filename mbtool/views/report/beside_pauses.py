@@ -9,6 +9,7 @@ pauses are reported (troubles/polling.py).
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -103,8 +104,16 @@ class BesidePauses:
                 last = asked[slot] if before < 0 else asked_at(before)[0]
                 if last is not None:
                     self._add(of_slot[slot], last, *asked_at(after))
-        for key, one in zip(of_slot, asked_at(*last_places), strict=True):
-            self._set_last(key, one)
+        held = OrderedDict[PollKey, int](dict.fromkeys(self._last, -1))
+        """For each poll that is kept: its slot, -1 if it is not in the batch."""
+        for key, slot in slots.items():
+            if len(held) == MAX_POLLS and key not in held:
+                held.popitem(last=False)
+            held[key] = slot
+        made = iter(asked_at(*(last_places[slot] for slot in held.values() if slot >= 0)))
+        self._last = {
+            key: self._last[key] if slot < 0 else next(made) for key, slot in held.items()
+        }
 
     def beside(self, begins_ns: Collection[int]) -> dict[int, NamedTransaction]:
         """Return the transactions before and after the pauses that begin at these times (UTC ns),
