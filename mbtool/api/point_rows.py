@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.moments import utc_time
 from mbtool.devices import write_reference
 from mbtool.modbus import FUNCTIONS, TABLE_FUNCTIONS
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from datetime import datetime
 
     from mbtool.devices import NamedTransaction, Profile
 
@@ -42,6 +44,13 @@ class PointRow(NamedTuple):
     unit_of_measure: str | None
     written: bool
     """True if a master wrote the value, False if it was read."""
+    master: str | None
+    """The master's address and port on a network; None on a serial line."""
+
+    @property
+    def time(self) -> datetime:
+        """The same time as `time_ns`, rounded down to microseconds, in UTC."""
+        return utc_time(self.time_ns)
 
 
 def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterator[PointRow]:
@@ -54,10 +63,12 @@ def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterat
     for points, written in ((one.read_points, False), (one.written_points, True)):
         for point in points:
             named = (point.reference, point.name, point.value, point.text, point.unit)
-            yield PointRow(*begin, *named, written)
+            yield PointRow(*begin, *named, written, one.source)
     if not one.points and one.function in TABLE_FUNCTIONS and one.function != MASK_WRITE_REGISTER:
         for reference, value, written in _plain_values(one, profile):
-            yield PointRow(*begin, reference, reference, value, str(value), None, written)
+            yield PointRow(
+                *begin, reference, reference, value, str(value), None, written, one.source
+            )
 
 
 def _plain_values(

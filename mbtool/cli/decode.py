@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.decode_job import JobOptionGroup, is_job, refuse_others, run_job
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     FORMATS,
     DeviceOption,
@@ -46,7 +46,7 @@ _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read new records from the log."""
 
 
-@takes_groups
+@with_option_groups
 def decode(
     files: Annotated[
         list[str],
@@ -111,7 +111,11 @@ def decode(
     table: TableOptionGroup,
     sort: Annotated[
         SortKey | None,
-        typer.Option("--sort", help="Order of the rows; all of them are held until the end."),
+        typer.Option(
+            "--sort",
+            help="Order of the rows; all of them are held until the end. Without it, a row comes "
+            "when it is sure how its transaction ended.",
+        ),
     ] = None,
     jobs: JobsOption = None,
     group: JobOptionGroup,

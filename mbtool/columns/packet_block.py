@@ -2,10 +2,10 @@
 
 # A block holds at most BLOCK_PACKETS packets and about BLOCK_BYTES bytes of the file, so memory
 # does not grow with the file. In a pcap file, each record tells where the next one begins: one loop
-# in Python collects these offsets, then numpy reads all record headers at once. Enhanced packet
-# blocks of a pcapng file are read in the same way. All else in it (interfaces, packet blocks of
-# other kinds, what is damaged) is read one by one by packets/pcapng.py, and so are the SLOWLY
-# blocks from there on, lest a file with many of them become many small PacketBlocks.
+# in Python collects these offsets, then numpy reads all record headers at once. The enhanced packet
+# blocks of a pcapng file are read in the same way. packets/pcapng.py reads the first SLOWLY blocks
+# of a pcapng file one by one, and as many from every other part on (an interface, another kind of
+# packet block, damage). Otherwise a file with many such parts would become many small PacketBlocks.
 #
 # Errors are raised as in packets/: after all packets before the damage.
 
@@ -27,8 +27,10 @@ from mbtool.packets.pcap import (
     MAX_CAPTURED,
     PCAP_HEADER,
     PCAP_MAGICS,
+    SEARCHED,
     PcapForm,
     cut_error,
+    next_record,
     read_pcap_form,
     too_long_error,
     zeros_error,
@@ -38,6 +40,7 @@ from mbtool.packets.pcapng import BLOCK_ENHANCED, MAX_BLOCK, PCAPNG_MAGIC, Pcapn
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.core import DamageError
     from mbtool.packets.pcapng import PcapngInterface
 
 BLOCK_PACKETS = 65_536
@@ -53,8 +56,8 @@ at the start of each packet without a check of the packet's length; whoever read
 bytes behind the packet's end."""
 
 SLOWLY = 1024
-"""The number of blocks of a pcapng file that are read one by one after its begin, and from a block
-on that has no enhanced packet."""
+"""So many blocks are read one by one at the beginning of a pcapng file, and from each block on that
+is no enhanced packet block, or is damaged."""
 
 _MAGIC = 4
 _BLOCK_HEAD = 8
@@ -241,8 +244,11 @@ class _PcapBlocks:
         self._record = np.dtype([(each, form.order + "u4") for each in ("s", "f", "cap", "len")])
         self._number = 0
         """The number of packets in the blocks that were yielded so far."""
+        self._last_s: int | None = None
+        """The time (UTC s) of the last of them."""
 
     def blocks(self) -> Iterator[PacketBlock]:
+        damage: DamageError | None = None
         while True:
             data, begin, end = self._source.held(BLOCK_BYTES)
             if begin == end:
@@ -250,15 +256,26 @@ class _PcapBlocks:
             heads, at, too_long = self._walk(data, begin, end)
             if heads:
                 self._source.drop(at - begin)
-                yield self._block(_octets(data, begin, at), heads)
+                block = self._block(_octets(data, begin, at), heads)
+                yield block
                 self._number += len(heads)
+                self._last_s = int(block.ts_ns[-1]) // SECOND_NS
             elif too_long:
-                raise too_long_error(self._name, self._number, too_long)
+                passed = next_record(self._source.peek(SEARCHED), self._form, self._last_s)
+                error = too_long_error(self._name, self._number, too_long, passed)
+                damage = damage or error
+                if passed is None:
+                    raise damage
+                self._source.drop(passed)
+            elif damage is not None:
+                raise damage
             else:
                 if self._has_zeros(data, begin):
                     raise zeros_error(self._name, self._number)
                 self._source.raise_error()
                 raise cut_error(self._name, self._number)
+        if damage is not None:
+            raise damage
         self._source.raise_error()
 
     def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, int]:
@@ -445,7 +462,7 @@ def _times(interface: PcapngInterface, ticks: Int64s) -> Int64s:
     if is_simple:
         found: Int64s = ticks * interface.multiplier // interface.divisor + interface.offset_ns
         return found
-    # High ticks have wrapped to negative numbers.
+    # In the array, ticks of 2^63 and more have become negative numbers.
     return np.array([interface.time_ns(one & _MASK_64) for one in ticks.tolist()], np.int64)
 
 

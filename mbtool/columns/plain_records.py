@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.poll_runs import in_turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,11 +27,5 @@ def plain_records(decoded: DecodedBlock, objects: PlainObjects) -> Iterator[Reco
     if rows is None:
         yield from (record for _, record in records)
         return
-    made = objects.of(rows)
-    places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
-    begin = 0
-    for end, (_, record) in zip(places, records, strict=True):
-        yield from made.some(begin, end)
-        yield record
-        begin = end
-    yield from made.some(begin, len(rows.response))
+    some, every = objects.of(rows).some, np.ones(len(rows.response), np.bool_)
+    yield from in_turn(rows, every, records, some, some)

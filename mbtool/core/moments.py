@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from decimal import Decimal
 from typing import NamedTuple
 
@@ -187,6 +187,11 @@ def moment(ts_ns: int) -> str:
     """
     is_dated = not 0 <= ts_ns < _YEAR_1980_NS
     return f"{day(ts_ns)} {clock_time(ts_ns)}" if is_dated else clock_time(ts_ns)
+
+
+def utc_time(ts_ns: int) -> datetime:
+    """Return a time in UTC ns as datetime, rounded down to microseconds."""
+    return _EPOCH + timedelta(microseconds=ts_ns // 1000)
 
 
 def day(ts_ns: int) -> str:

@@ -128,7 +128,7 @@ class Distribution:
                 return min(max(middle, self.least), self.greatest)
         return 0
 
-    def number_from(self, ns: int) -> int:
+    def count_at_least(self, ns: int) -> int:
         """Return how many durations are `ns` or longer, as exactly as `error` says."""
         return sum(count for low, count in self._buckets.items() if low + self._width(low) > ns)
 

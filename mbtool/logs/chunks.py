@@ -122,12 +122,6 @@ def is_zstd(content: bytes) -> bool:
     return content.startswith(ZSTD_MAGIC, ZSTD_DATA_AT)
 
 
-def chunk_times(content: bytes) -> tuple[int, int]:
-    """The log times (ns) of the earliest and the latest message in a chunk, as its head says."""
-    start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(content)
-    return start_ns, end_ns
-
-
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield (opcode, begin, end) of each record in an unpacked chunk.
 

@@ -41,6 +41,9 @@ _KEPT = "-kept"
 """Stands behind the number of a file that `keep_around` keeps."""
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
+MIN_KB = 20
+"""The least limit in size, in kB. What each file begins and ends with takes 2 to 12 kB (measured),
+so that files of less would hold hardly anything else."""
 _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -56,11 +59,18 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `100MB` or `1h`. Raises UsageError for a text that is neither a size nor a time."""
+        """Read `100MB` or `1h`. Raises UsageError for a text that is neither a size nor a time, and
+        for a size below MIN_KB.
+        """
         match = _PATTERN.fullmatch(text)
         if match is not None and int(match["number"]) > 0:
             number, suffix = int(match["number"]), match["suffix"].lower()
             if suffix in _SIZES:
+                if number * _SIZES[suffix] < MIN_KB * _SIZES["kb"]:
+                    raise UsageError(
+                        f"rotation {text!r}: a file without any transaction may have 12 KB; "
+                        f"write {MIN_KB}KB or more"
+                    )
                 return cls(size=number * _SIZES[suffix])
             if suffix in _TIMES:
                 return cls(time_ns=number * _TIMES[suffix] * SECOND_NS)
@@ -193,7 +203,7 @@ class RotatingLog(ClosesOnExit):
         try:
             self._writer.close(final)
         finally:
-            self._let_first_go()
+            self._close_first()
             self._keep_finished(self._writer.path)
 
     def _take_series(self) -> None:
@@ -263,7 +273,7 @@ class RotatingLog(ClosesOnExit):
         """Rename a finished file that is to be kept, and the one before it; False if it is not."""
         if part_number(path) not in self._kept:
             return False
-        self._let_first_go()
+        self._close_first()
         before = self._finished and part_number(self._finished[-1]) in self._kept
         with suppress(OSError):  # Its name stays; this run does not remove it.
             for one in ([self._finished.pop()] if before else []) + [path]:
@@ -283,14 +293,14 @@ class RotatingLog(ClosesOnExit):
         return False
 
     def _remove_oldest(self) -> bool:
-        self._let_first_go()  # An open handle would keep the file's disk space in use.
+        self._close_first()  # An open handle would keep the file's disk space in use.
         try:
             self._finished.popleft().unlink()
         except OSError:
             return False
         return True
 
-    def _let_first_go(self) -> None:
+    def _close_first(self) -> None:
         if self._first is not None:
             self._first.close()
 

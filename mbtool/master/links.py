@@ -144,6 +144,8 @@ class MasterLink(ABC):
 
     def __init__(self) -> None:
         self._unread: deque[Skipped] = deque(maxlen=MAX_UNREAD)
+        self.is_stopped: Callable[[], bool] = lambda: False
+        """Returns True once no request shall wait for a pause of another master any more."""
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -224,7 +226,7 @@ class MasterLink(ABC):
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
         patience = self._patience(wait_ns)
         while self._asked not in self.lost():
-            # Check once more after the timeout: this process may have been suspended.
+            # Read once more after the timeout, because this process may have been suspended.
             rest_ns = patience.next_ns()
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
@@ -320,8 +322,8 @@ class TcpMaster(MasterLink):
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._is_refused = False
-        """True if nobody listens at the slave's port for UDP, which was told once, until a datagram
-        comes from there."""
+        """True after nobody listened at the slave's UDP port, until a datagram comes from it. The
+        user is told only once."""
         self.ended: ConnectionEnding | None = None
         """The way in which the slave ended the last connection, FIN or RST; None if it did not, and
         always for UDP."""
@@ -525,14 +527,15 @@ class SerialMaster(MasterLink):
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
-        """The other master in whose pauses requests are sent; None if the line is ours alone."""
+        """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
         """The number of requests that were sent in its pauses."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
         """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
-        and True for a request of ours and for what comes until the next turn is awaited."""
+        and True for a request of this program and for the bytes after it, until it waits for the
+        next turn."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -596,7 +599,8 @@ class SerialMaster(MasterLink):
         if not (between and other.polls):
             other.demand_free()
             return
-        # From here on a response must fit its request: others are probably the other master's.
+        # From now on a response must fit its request; other responses are probably for the other
+        # master.
         self._other = other
 
     def _listen(self, listen_ns: int | None) -> OtherMaster:
@@ -617,10 +621,13 @@ class SerialMaster(MasterLink):
         if self._other is None:
             return super()._await_turn(unit, pdu)
         until_ns = time.monotonic_ns() + self._longest_turn_ns
-        while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
+        while not (
+            self._other.has_known_pauses or self.is_stopped() or time.monotonic_ns() >= until_ns
+        ):
             self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
-        # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
+        # Once a request was sent, the shortest pause may have been an exception: wait for a longer
+        # one.
         most_ns = self._other.longest_pause_ns
         if self._turns:
             most_ns = round(self._other.greatest_pause_ns * RELIABLE)
@@ -633,7 +640,7 @@ class SerialMaster(MasterLink):
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
         while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
-            if now_ns > until_ns:
+            if now_ns > until_ns or self.is_stopped():
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
                     f"{duration(self._longest_turn_ns)}; the request was not sent"
@@ -691,7 +698,7 @@ class SerialMaster(MasterLink):
         return has_missed
 
     def _note_intrusion(self, event: Adu | Skipped) -> None:
-        """While a request of ours is pending, note bytes of others. Few bytes are noise, and a
+        """While a request of this program is pending, note other bytes. Few bytes are noise, and a
         frame of the unit asked is probably a late answer.
         """
         if self._other is None or self._pending is None:
@@ -725,7 +732,7 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # A process that gets no processor also sees bytes that came after its wait was over.
+        # If this process had to wait for a processor, bytes may have come after the wait was over.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

@@ -1,9 +1,9 @@
 """Sends any bytes to a slave, right or wrong, and returns the bytes that come back."""
 
-# A test bench needs bytes that a master never sends: a wrong CRC, half an ADU, two at once. What
-# comes back ends with a silence on a serial line, and on TCP with the last of the ADUs that were
-# awaited, the end of the connection, or the timeout. Time in which this process got no processor is
-# not counted (Patience), so a busy machine makes no answer late, and no pause inside one.
+# A test needs bytes that a master never sends: a wrong CRC, half an ADU, two ADUs at once. The
+# returned bytes end with a silence on a serial line. On TCP they end with the last expected ADU,
+# the end of the connection, or the timeout. Time in which this process got no processor is not
+# counted (Patience), so that on a busy machine no answer is late and no pause is inside one.
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class SerialWire(Wire):
                 time.sleep(max(end_ns + pause_ns - time.monotonic_ns(), 0) / SECOND_NS)
             taken_ns = self._master.send_bytes(piece)
             made_ns = max(made_ns, taken_ns - end_ns) if number else 0
-            # A virtual line says at once that all bytes have left, and carries them afterwards.
+            # A virtual line reports at once that all bytes were sent, and carries them afterwards.
             on_line_ns = len(piece) * self._format.character_ns
             end_ns = max(taken_ns + on_line_ns, time.monotonic_ns())
         return self.hear(self._wait_ns(awaited))._replace(made_pause_ns=made_ns)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from mbtool.core.moments import host_of
+from mbtool.core.moments import host_of, utc_time
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+if TYPE_CHECKING:
+    from datetime import datetime
+
 _SHOWN = 8
 """The repr of a transaction has at most this many values."""
 
@@ -226,7 +227,7 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     @property
     def time(self) -> datetime:
         """The same time as `start_ns`, rounded down to microseconds, in UTC."""
-        return _EPOCH + timedelta(microseconds=self.start_ns // 1000)
+        return utc_time(self.start_ns)
 
     @property
     def master(self) -> str | None:

@@ -11,7 +11,7 @@ back.
 # 10.0.0.L, port 20502; its slave UNIT is 10.0.L.UNIT, port 502. The UDP checksum is 0 (RFC 768:
 # none).
 #
-# Bytes that are no frame become packets of link type 250 (serial_packets.py) on another interface.
+# Bytes that are no frame become packets of link type 250 (RTAC_SERIAL) on another interface.
 #
 # These packets cannot hold everything, such as the times of single reads. The rest is written as
 # JSON into an option and a block for local use (pcapng: codes with the highest bit set, which other
@@ -46,6 +46,7 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.limits import MODBUS_PORT
+from mbtool.packets.made_packets import internet_checksum
 from mbtool.packets.pcap import MAX_CAPTURED
 
 if TYPE_CHECKING:
@@ -70,8 +71,7 @@ if TYPE_CHECKING:
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
-"""Link types that are read as bytes of a serial line without being told: 147 (USER0),
-RTAC_SERIAL."""
+"""Link types that are always read as bytes of a serial line: 147 (USER0), RTAC_SERIAL."""
 USER_LINK_TYPES = frozenset(range(147, 163))
 """Link types (USER0 to USER15) that are free for any use. Those other than 147 are read as bytes of
 a serial line only if the user says so with --link."""
@@ -221,7 +221,7 @@ def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bo
         ports.reverse()
     size = _UDP.size + len(payload)
     header = [0x45, 0, _IPV4.size + size, number & 0xFFFF, _DONT_FRAGMENT, _TIME_TO_LIVE]
-    checksum = _checksum(_IPV4.pack(*header, _UDP_PROTOCOL, 0, source, destination))
+    checksum = internet_checksum(_IPV4.pack(*header, _UDP_PROTOCOL, 0, source, destination))
     packet = _IPV4.pack(*header, _UDP_PROTOCOL, checksum, source, destination)
     return packet + _UDP.pack(*ports, size, 0) + payload
 
@@ -243,6 +243,30 @@ def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     sent = 1 if by_master else 2
     return struct.pack(">IIBBH", seconds & 0xFFFFFFFF, ns // 1000, sent, 0, 0) + data
+
+
+def error_packet(event: WireEvent) -> Packet | None:
+    """Return a packet of link type 250 (RTAC_SERIAL) without bytes that reports a framing error, a
+    parity error or a break of a serial line.
+
+    Returns None for another event, and for one that may be several of them.
+    """
+    codes = [
+        code
+        for code, (kind, message) in _REPORTED.items()
+        if kind is EventKind.LINE_ERROR and message.split()[1] in event.message
+    ]
+    if event.kind is not EventKind.LINE_ERROR or len(codes) != 1:
+        return None
+    data = bytearray(rtac_packet(event.ts_ns, b"", by_master=False))
+    data[_EVENT_AT] = codes[0]
+    return Packet(
+        ts_ns=max(event.ts_ns, 0),
+        link=event.link,
+        link_type=RTAC_SERIAL,
+        data=bytes(data),
+        original_length=len(data),
+    )
 
 
 class OpenReads:
@@ -345,10 +369,3 @@ def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
             yield from packet.chunks
         else:
             yield packet
-
-
-def _checksum(header: bytes) -> int:
-    """Compute the checksum of an IPv4 header whose checksum field is 0 (RFC 791)."""
-    total: int = sum(word for (word,) in struct.iter_unpack(">H", header))
-    total = (total & 0xFFFF) + (total >> 16)
-    return 0xFFFF - ((total + (total >> 16)) & 0xFFFF)

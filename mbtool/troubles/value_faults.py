@@ -1,30 +1,35 @@
-"""VALUE-...: numbers in registers that do what a quantity does not do by itself.
+"""Finds VALUE-...: numbers in registers that change as a measured quantity does not change.
 
-The registers of each kind of request are followed over the whole recording (values/movements.py),
-as the numbers that a profile names, or that their words show. At the end, or when somebody asks,
-these rules look at each number. What it did most of the time is its norm, together with what it did
-in a baseline recording, if there is one:
+The numbers in the registers of each poll are followed over the whole recording
+(values/movements.py). The profile names the numbers; without a profile, their types are judged from
+the values. These rules compare each number with its own usual behaviour, in this recording and in a
+baseline recording, if there is one:
 
-- VALUE-STUCK: it moved, and then stays, much longer than ever else, while others in the same answer
-  move as before. A number at 0 or at a round one may rest there, a counter may stand.
-- VALUE-JUMPED: one answer (or a few) is far away and then all is as before; or it moves in small
-  steps over a long way, and once in a large one. If others jump at the same time, it is the plant.
-- VALUE-RESET, VALUE-BACKWARDS: it only rises, and falls once; not if it went on behind its last
-  digit, such as 59, 9999 or 65535.
-- VALUE-NONE: FFFFH, 8000H, 7FFFH (with 32 bits, too) or NaN among numbers that are far from it.
-- VALUE-RANGE, VALUE-NOT-VALID: what the profile says of a number, or of the bits of a state.
+- VALUE-STUCK: the number moved, then stays the same for much longer than ever before, while other
+  numbers in the same answer move on. A number may rest at 0 or at a round value, and a counter may
+  stand still; neither counts.
+- VALUE-JUMPED: the number is far away in one answer (or in a few), and then as before; or it moves
+  over a long way in small steps, with one large step. If other numbers jump at the same time, the
+  plant changed, and nothing is reported.
+- VALUE-RESET, VALUE-BACKWARDS: the number only rises, and falls once. A counter that overflows,
+  such as after 59, 9999 or 65535, does not count.
+- VALUE-NONE: FFFFH, 8000H, 7FFFH (also with 32 bits) or NaN, while all other values are far away.
+- VALUE-RANGE, VALUE-NOT-VALID: the number is outside the range that the profile gives, or the
+  profile says that a bit or state makes other values invalid.
 
-A register that a master writes is set, and none of these. Ambiguous frames are left out.
+Registers that a master writes, and ambiguous frames, are left out.
 """
 
-# False alarms: the rules ask for LEARN answers, and for many changes before a fault. A process may
-# do the same once (a lamp that is switched on for a moment), so the sureness is `likely`.
+# False alarms: the rules need at least LEARN answers, and many changes before a fault. A process
+# can do the same once (such as a lamp that is switched on for a moment), so the troubles have the
+# sureness `likely`.
 #
-# With a baseline, each kind of request goes on with a copy of its figures there, as after a pause
-# of the polling. What happened in the baseline is not told, except what the profile forbids.
+# With a baseline, the figures of each poll continue from a copy of the baseline's figures, as after
+# a pause of the polling. Faults in the baseline itself are not reported, except values that the
+# profile forbids.
 #
-# Memory: MAX_POLLS kinds of requests, with BATCH words or LEARNT answers each; some hundred bytes
-# for each number; MAX_JUDGED registers whose types are judged.
+# Memory: MAX_POLLS polls, with BATCH words or LEARNT answers each; some hundred bytes for each
+# number; MAX_JUDGED registers whose types are judged.
 
 from __future__ import annotations
 
@@ -109,10 +114,6 @@ _CODES = (
 )  # fmt: skip
 
 
-_OF_PROFILE = ("VALUE-RANGE", "VALUE-NOT-VALID")
-"""The troubles that a profile knows."""
-
-
 class _Key(NamedTuple):
     link: str
     unit: int
@@ -150,13 +151,20 @@ class _FollowedAnswers:
         self.is_left_out = False
         self.norm_ns: tuple[int, int] | None = None
         """The times (UTC ns) of the first and last answer of the baseline; None without one."""
+        self.norm_rows = 0
+        """The number of answers of the baseline."""
 
-    def span_ns(self) -> tuple[int, int] | None:
-        """The times (UTC ns) of the first and last answer; None if there is none."""
-        times = self.times.tolist()
-        if self.movements is not None:
-            times = [self.movements.first_ns, self.movements.last_ns, *times]
-        return (min(times), max(times)) if times else None
+    def after_norm(self, movements: Movements) -> _FollowedAnswers:
+        """Return a copy of an answered request of the baseline, to which the answers of the checked
+        capture are added. `movements` are its figures.
+        """
+        poll = deepcopy(self)
+        del poll.times[:], poll.words[:]  # `movements` has them, too.
+        poll.movements = deepcopy(movements)
+        poll.movements.forget_profile_faults()
+        poll.norm_ns = movements.first_ns, movements.last_ns
+        poll.norm_rows = movements.rows
+        return poll
 
 
 class ValueFaults(Sense):
@@ -166,6 +174,10 @@ class ValueFaults(Sense):
         self._assignments = assignments
         self._norm: ValueFaults | None = None
         """The values of the baseline."""
+        self._is_compared = False
+        """True if a request of the captures is in the baseline, too."""
+        self._overlaps = False
+        """True if such a request was answered at a time within the baseline."""
         self._is_norm = False
         self._lines: set[str] = set()
         """The serial lines whose values were seen."""
@@ -176,7 +188,7 @@ class ValueFaults(Sense):
         """For polls of slaves that may have a profile: their first transaction."""
         self._written: set[tuple[str, int, Table, int]] = set()
         self._much_written: set[tuple[str, int]] = set()
-        """Units of which not all written registers are known, so that nothing is told of them."""
+        """Units with too many written registers to know all; no trouble is reported for them."""
         self._judged = 0
 
     def judge_by(self, norm: ValueFaults) -> None:
@@ -184,8 +196,20 @@ class ValueFaults(Sense):
         self._norm = norm
 
     def become_norm(self) -> None:
-        """Join the captures that follow: they are a baseline, and no trouble is told of them."""
+        """Take the next captures as the baseline, for which no trouble is reported."""
         self._is_norm = True
+
+    @property
+    def norm_remark(self) -> str | None:
+        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        if self._overlaps:
+            return (
+                "the baseline and the checked captures have the same times; values with the same "
+                "times are judged without the baseline"
+            )
+        if self._norm is not None and not self._is_compared:
+            return "the checked captures have no request of the baseline; it was not used"
+        return None
 
     def begin_capture(self) -> None:
         if self._is_norm:
@@ -216,7 +240,7 @@ class ValueFaults(Sense):
         if poll is None:
             if one.transport.is_serial and len(self._polls) < MAX_POLLS:
                 self._lines.add(one.link)
-            poll = self._new_poll(key)
+            poll = self._new_poll(key, one.start_ns)
             if one.device is not None and key in self._polls:
                 self._like[key] = one
         if not poll.is_left_out:
@@ -235,7 +259,11 @@ class ValueFaults(Sense):
                 self._note_write(one.link, one.unit, function.table, span)
                 continue
             key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
-            poll = self._polls.get(key) or self._new_poll(key)
+            poll = self._polls.get(key)
+            if poll is None:
+                if len(self._polls) >= MAX_POLLS:
+                    continue
+                poll = self._new_poll(key, one.request_ns[0])
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())
@@ -247,30 +275,43 @@ class ValueFaults(Sense):
         else:
             self._much_written.add((link, unit))
 
-    def _new_poll(self, key: _Key) -> _FollowedAnswers:
+    def _new_poll(self, key: _Key, at_ns: int) -> _FollowedAnswers:
+        """Return the answers to a request that was answered for the first time, at `at_ns`."""
         poll = _FollowedAnswers()
         if len(self._polls) < MAX_POLLS:
-            polls = {} if self._norm is None else self._norm._polls
-            known = polls.get(key._replace(link=self._norm_link(key.link)))
-            if known is not None:
-                poll = deepcopy(known)
-                poll.norm_ns = known.span_ns()
-            self._polls[key] = poll
+            poll = self._polls[key] = self._after_norm(key, at_ns) or poll
         poll.is_left_out |= not 0 < key.quantity <= 2000
         return poll
 
-    def _norm_link(self, link: str) -> str:
-        """The name of a link in the baseline.
+    def _after_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
+        """Return a copy of the baseline's answers to a request; None if there is none.
 
-        The name of a serial line is that of a port or file, so the only one here is the only one
-        there.
+        The name of a serial line is that of a port or file, so each serial line of the baseline
+        with the same request is taken for the same line; of several the one with most answers.
         """
-        there = set() if self._norm is None else self._norm._lines
-        return (
-            next(iter(there))
-            if len(there) == len(self._lines) == 1 and link in self._lines
-            else link
-        )
+        if self._norm is None:
+            return None
+        alike = [
+            (movements, poll)
+            for norm_key, poll in self._norm._polls.items()
+            if norm_key[1:] == key[1:] and self._is_norm_of(norm_key.link, key.link)
+            if (movements := self._norm._movements(norm_key, poll)) is not None
+        ]
+        if not alike:
+            return None
+        self._is_compared = True
+        movements, known = max(alike, key=lambda one: one[0].rows)
+        if movements.first_ns <= at_ns <= movements.last_ns:
+            self._overlaps = True
+            return None
+        return known.after_norm(movements)
+
+    def _is_norm_of(self, there: str, link: str) -> bool:
+        """True if a link of the baseline is, or may be, a link of the checked captures."""
+        norm = self._norm
+        if norm is None or there == link:
+            return norm is not None
+        return there in norm._lines and link in self._lines and link not in norm._lines
 
     def _take(self, key: _Key, poll: _FollowedAnswers) -> None:
         """Add the answers that wait to the figures of their poll, if they are many."""
@@ -280,7 +321,7 @@ class ValueFaults(Sense):
     def _movements(self, key: _Key, poll: _FollowedAnswers) -> Movements | None:
         """Return the figures of all answers of a poll; None if nothing is known of its values."""
         if poll.movements is None and not poll.is_left_out and len(poll.times) < LEARN:
-            return None  # So a small capture does without numpy, which takes long to load.
+            return None  # Small captures need no numpy, which loads slowly.
         from mbtool.values.movements import Movements
 
         rows = len(poll.times)
@@ -313,20 +354,22 @@ class ValueFaults(Sense):
         table = FUNCTIONS[key.function].table
         assert table is not None
         size = key.quantity
-        number = LEARN
-        while number * 2 <= min(len(poll.times), LEARNT):
-            number *= 2
-        if len(poll.times) < number:
-            return False
-        rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
         like = self._like.get(key)
         profile = None if like is None else self._assignments.profile_for(like)
-        if profile is None and all(row == rows[0] for row in rows):
+        while True:
+            number = LEARN
+            while number * 2 <= min(len(poll.times), LEARNT):
+                number *= 2
+            if len(poll.times) < number:
+                return False
+            rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
+            if profile is not None or any(row != rows[0] for row in rows):
+                break
             if number < LEARNT:
                 return False
+            # Registers that never changed tell no type, so later answers are looked at.
             del poll.times[: LEARNT - 1], poll.words[: (LEARNT - 1) * size]
             poll.rested += LEARNT - 1
-            return self._find_values(key, poll)
         if poll.learnt == number:
             return True
         times = poll.times[:number].tolist()
@@ -355,19 +398,22 @@ class ValueFaults(Sense):
                 units.setdefault((key.link, key.unit), []).append((table, movements, poll))
         for (link, unit), own in units.items():
             cases = [
-                (table, movements, case)
+                (table, movements, case._replace(of=max(case.of - poll.norm_rows, 0)))
                 for table, movements, poll in own
                 for case in _cases(movements, [one for _, one, _ in own if one is not movements])
-                if not _is_of_norm(case, poll.norm_ns)
+                if poll.norm_ns is None or not poll.norm_ns[0] <= case.at_ns <= poll.norm_ns[1]
             ]
-            # A register has one fault; the same one may show in several polls.
+            # Report one fault for each register. Several polls may show the same one.
             cases.sort(key=lambda one: _CODES.index(one[2].code))
             if (link, unit) in self._much_written:
                 continue
             taken = {each[2:] for each in self._written if each[:2] == (link, unit)}
             if self._norm is not None:
-                there = self._norm_link(link), unit
-                taken |= {each[2:] for each in self._norm._written if each[:2] == there}
+                taken |= {
+                    each[2:]
+                    for each in self._norm._written
+                    if each[1] == unit and self._is_norm_of(each[0], link)
+                }
             by_code: dict[str, list[tuple[Movements, _Case]]] = {}
             for table, movements, case in cases:
                 first = case.value.address
@@ -377,14 +423,6 @@ class ValueFaults(Sense):
                     by_code.setdefault(case.code, []).append((movements, case))
             for code, some in by_code.items():
                 yield _trouble(link, unit, code, some)
-
-
-def _is_of_norm(case: _Case, norm_ns: tuple[int, int] | None) -> bool:
-    """True if something happened in the baseline, so that it is usual."""
-    if norm_ns is None or case.code in _OF_PROFILE:
-        return False
-    at_ns = case.until_ns if case.code == "VALUE-STUCK" else case.at_ns
-    return at_ns is not None and norm_ns[0] <= at_ns <= norm_ns[1]
 
 
 def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case]]) -> Trouble:
@@ -452,8 +490,8 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
         return False
     away = max(low - unset.number, unset.number - high)
     if unset.number == (1 << 16 * movements.values[place].reading.words) - 1:
-        away = min(away, low + 1)  # A number near 0 that falls to -1 looks the same.
-    if not away <= FAR * (high - low):  # Of NaN, too, this is true.
+        away = min(away, low + 1)  # FFFFH may be -1, next to 0.
+    if not away <= FAR * (high - low):  # True for NaN as well.
         return True
     # Two steps may be larger than usual, as the number went on meanwhile.
     return away >= JUMP * movements.steps(place)[2].size

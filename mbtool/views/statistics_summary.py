@@ -40,6 +40,9 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
         lines.append(StyledLine(text, _DOUBT))
     if is_counted_together(links):
         lines.append(StyledLine(TOGETHER_TEXT, _DOUBT))
+    if alone := total.count(Outcome.UNSOLICITED):
+        text = f"{counted(alone, 'answer', ',')} without a request, not counted above"
+        lines.append(StyledLine(text, _DOUBT))
     if lacking := total.count(Outcome.NOT_CAPTURED):
         text = f"{lacking:,} not captured whole: the capture's loss, not a device's fault"
         lines.append(StyledLine(text, _DOUBT))

@@ -248,11 +248,3 @@ def _words(text: str) -> list[str]:
 
 def _wrapped(text: str, width: int, style: str = "") -> list[Spans]:
     return _flowed([(printable(text), style)], width, 2) if text else []
-
-
-def find_text(kept: KeptRecord) -> str:
-    """Return the text that the user's search examines, in lower case: request, result and names."""
-    record = kept.record
-    if isinstance(record, WireEvent):
-        return f"{record.kind.value} {record.message}".lower()
-    return f"{transaction_text(record)} {result_text(record)} {_place(record)}".lower()

@@ -5,8 +5,8 @@
 # user and of the log, so that the rules in the present profiles apply. Each capture is checked
 # separately; the files of a rotated capture are checked as one.
 #
-# With --start and --end, only the transactions and events in that time are checked. Of what came
-# before, the rules only get to know which connections were opened and closed.
+# With --start and --end, only the transactions and events in that time are checked. From the time
+# before, the rules only learn which connections were opened and closed.
 
 from __future__ import annotations
 
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
-    WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
-
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
@@ -71,7 +69,7 @@ class CodeFilter:
     ignore: tuple[str, ...] = ()
 
     @property
-    def is_any(self) -> bool:
+    def leaves_out_codes(self) -> bool:
         """True if some codes are left out."""
         return bool(self.select or self.ignore)
 
@@ -270,7 +268,12 @@ class CheckRun:
         if not norm.transactions:
             raise InputError(f"{', '.join(baseline)}: no transaction in it to compare with")
         self._judge.judge_by(norm._judge)
-        return [*norm.reading.remarks, *remarks]
+        return [f"baseline: {one}" for one in (*norm.reading.remarks, *remarks)]
+
+    @property
+    def norm_remark(self) -> str | None:
+        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        return self._judge.norm_remark
 
     def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.
@@ -426,7 +429,7 @@ class CheckRun:
         if self._judged is None or self._is_open:
             found = self._judge.judgement()
             chosen = [one for one in found.troubles if self._codes.takes(one.code)]
-            self._judged = replace(found, troubles=chosen, is_chosen=self._codes.is_any)
+            self._judged = replace(found, troubles=chosen, is_chosen=self._codes.leaves_out_codes)
         return self._judged
 
     def _chosen(self, findings: Iterable[Finding]) -> Iterator[FileFinding]:

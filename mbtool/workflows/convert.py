@@ -48,7 +48,9 @@ from mbtool.packets.capture_writer import (
 )
 from mbtool.packets.line_packets import (
     OpenReads,
+    error_packet,
 )
+from mbtool.packets.made_packets import PacketMaker
 from mbtool.packets.tcp_ends import tcp_ends
 from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.evidence_reading import device_of
@@ -180,12 +182,18 @@ class Conversion:
         return self._shown()
 
     def events(self) -> Iterator[WireEvent]:
-        """Yield the events of logs that tell what their ports, taps and interfaces have noticed."""
-        for path in (one for group in self._groups if group.is_raw for one in group.paths):
-            with LogReader.open(path) as log, suppress(InputError):
-                for item in heard(log):
-                    if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
-                        yield item
+        """Yield the events that tell what ports, taps and interfaces have noticed, in logs and in
+        other captures; call `evidence` before.
+        """
+        for group in self._groups:
+            if not group.is_raw:
+                yield from filter(self._window.__contains__, group.marks.errors)
+                continue
+            for path in group.paths:
+                with LogReader.open(path) as log, suppress(InputError):
+                    for item in heard(log):
+                        if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
+                            yield item
 
     def head(self) -> CaptureHead:
         """Return the description of the links and devices; call `evidence` before."""
@@ -224,7 +232,8 @@ class Conversion:
             with place.open("wb") as stream:
                 if suffix == ".pcap":
                     return self._write_pcap(stream, out)
-                return PcapngOutput(stream, self._groups, self._head()).write(self._shown())
+                shown = heapq.merge(self._shown(), self._errors(), key=lambda one: one.ts_ns)
+                return PcapngOutput(stream, self._groups, self._head()).write(shown)
         except OSError as error:
             ends = "; it ends early" if place.exists() else ""
             raise OutputError(f"{out}: cannot be written: {reason_of(error)}{ends}") from error
@@ -273,6 +282,16 @@ class Conversion:
         """
         return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
 
+    def _errors(self) -> list[NumberedPacket]:
+        """Return packets that tell errors of serial lines, in the order of time; none if only some
+        transactions are written.
+        """
+        if self._where is not None or self._device is not None:
+            return []
+        events = sorted(self.events(), key=lambda one: one.ts_ns)
+        packets = [(one, error_packet(one)) for one in events]
+        return [NumberedPacket(packet, (one.message,)) for one, packet in packets if packet]
+
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
         read = _EvidencePass(group.marks.items)
         items = self._watch(read, read.counted(group.evidence()))
@@ -317,13 +336,9 @@ class Conversion:
         done = Converted()
         writer: PcapWriter | None = None
         link_type = 0
+        maker = PacketMaker()
         for one in self._shown():
-            if isinstance(one, WirePiece):
-                raise UsageError(
-                    f"{out}: classic pcap cannot hold a serial line or a tap; "
-                    f"name it {PurePath(out).with_suffix('.pcapng')}"
-                )
-            packet = one.packet
+            packet = one.packet if isinstance(one, NumberedPacket) else _made(one, maker, out)
             if writer is None:
                 link_type = packet.link_type
                 writer = PcapWriter(stream, link_type)
@@ -468,6 +483,23 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
         else:
             yield from open_reads.take(one.chunk, one.data, one.reads, is_open=one.is_open)
     yield from open_reads.close()
+
+
+def _made(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
+    """Return a packet with the bytes of a piece. Raises UsageError if they are of a serial line, or
+    if an end of their connection has no address.
+    """
+    key = piece.key
+    why = "a serial line"
+    if key.connection is not None:
+        try:
+            return maker.packet(key.connection, key.direction, piece.data, piece.ts_ns)
+        except ValueError as error:
+            why = f"what was heard between {key.connection.master} and {key.connection.slave}"
+            why = f"{why} ({error})"
+    raise UsageError(
+        f"{out}: classic pcap cannot hold {why}; name it {PurePath(out).with_suffix('.pcapng')}"
+    )
 
 
 def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:

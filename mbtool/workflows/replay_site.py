@@ -244,7 +244,7 @@ def _divided(
     rules.
 
     If several rules fit a slave, the one with the most specific WHO counts. `path` is the recording
-    in messages; `on_remark` is told which slaves no rule fits.
+    in messages; `on_remark` gets a remark on slaves that no rule fits.
     """
     slaves = dict.fromkeys((_place(one), one.unit, one.destination) for one in asked)
     lines = {place for place, _, destination in slaves if destination is None}
@@ -265,7 +265,12 @@ def _divided(
             of_rule[fits[0]].append((place, unit))
         else:
             left.append(place)
-    known = _listed([place for place, _, _ in slaves]) or "none"
+    if not slaves:
+        raise UsageError(
+            f"{path} has no transaction to play; for another port than {MODBUS_PORT} name it with "
+            "--port, or --port any"
+        )
+    known = _listed([place for place, _, _ in slaves])
     for index, rule in enumerate(rules):
         if not of_rule[index]:
             why = "each slave that it fits has a closer --on"

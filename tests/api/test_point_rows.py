@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import pytest
 
 import mbtool
@@ -38,7 +40,9 @@ def test_each_register_that_is_read_is_a_row_named_by_its_reference() -> None:
         text="1",
         unit_of_measure=None,
         written=False,
+        master="master:0",
     )
+    assert one.time == datetime(1970, 1, 1, 0, 0, 0, 2, UTC)
     assert (two.reference, two.value) == ("holding 108", 0xFFFF)
 
 

@@ -161,6 +161,16 @@ def test_limits_that_are_reached_give_equal_documents(
     assert assert_equal(several_polls(), 60) > 20
 
 
+@pytest.mark.parametrize("few", [0, 1, 3])
+def test_polls_that_come_and_go_within_a_batch_give_equal_documents(
+    few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(request_order, "WINDOW", 5)
+    monkeypatch.setattr(account, "MAX_POLLS", 3)
+    monkeypatch.setattr(account, "_FEW", few)
+    assert assert_equal(several_polls()) > 20
+
+
 def test_requests_without_answer_between_polls_give_equal_documents(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -257,13 +257,14 @@ def test_a_broker_that_was_restarted_without_its_memory_gets_all_values_again(
 
 def test_the_files_around_a_trouble_are_kept(tmp_path: Path) -> None:
     log = tmp_path / "x.mcap"
-    options = ("--rotate", "2KB", "--keep", 2, "--keep-around", "UNIT-REFUSES")
+    options = ("--rotate", "20KB", "--keep", 2, "--keep-around", "UNIT-REFUSES")
     with sniffing("-w", log, *options) as (program, tap):
         write_timer(tap, 100)
         with socket.create_connection((tap.host, tap.port), PATIENCE_S) as master:
             wait = patient()
             while not list(tmp_path.glob("x-*-kept.mcap")):
-                ask(master, 0, bytes.fromhex("03 f000 0001"))
+                for _ in range(10):
+                    ask(master, 0, bytes.fromhex("03 f000 0001"))
                 wait()
         write_timer(tap, 100)
         program.end(signal.SIGINT)

@@ -19,7 +19,7 @@ SECOND_NS = 1_000_000_000
     ("text", "rotation"),
     [
         ("100MB", Rotation(size=100_000_000)),
-        ("5kb", Rotation(size=5_000)),
+        ("20kb", Rotation(size=20_000)),
         ("2GB", Rotation(size=2_000_000_000)),
         ("1h", Rotation(time_ns=3600 * SECOND_NS)),
         ("90s", Rotation(time_ns=90 * SECOND_NS)),
@@ -35,6 +35,11 @@ def test_a_rotation_is_a_size_or_a_time(text: str, rotation: Rotation) -> None:
 def test_a_rotation_that_is_neither_is_the_users_mistake(text: str) -> None:
     with pytest.raises(UsageError, match="for example 100MB or 1h"):
         Rotation.parse(text)
+
+
+def test_a_rotation_below_the_fixed_part_of_a_file_is_the_users_mistake() -> None:
+    with pytest.raises(UsageError, match=r"rotation '2KB': .*; write 20KB or more"):
+        Rotation.parse("2KB")
 
 
 def test_the_log_goes_on_in_the_next_file_by_size(tmp_path: Path) -> None:

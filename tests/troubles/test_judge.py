@@ -125,8 +125,8 @@ def test_many_slow_units_are_a_note_as_they_may_be_of_a_slow_kind() -> None:
     trouble = only(records)
     assert trouble.severity is Severity.WARNING
     assert trouble.cause == (
-        "unit 0 is slow: half of its answers take 120 ms or more, those of most others 5.0 ms or less; "
-        "3 more units likewise"
+        "unit 0 is slow: half of its answers take 120 ms or more, those of most others 5.0 ms or "
+        "less; 3 more units likewise"
     )
     assert only([one for one in records if one.unit < 8]).severity is Severity.NOTE
     quick = [

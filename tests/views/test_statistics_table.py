@@ -155,7 +155,10 @@ def test_a_slow_unit_is_named() -> None:
             *(request(at * 100 + 10, unit=7, latency_ns=80_000_000) for at in range(times)),
         )
 
-    slow = "! unit 7 is slow: half of its answers take 80.0 ms or more, those of most others 5.0 ms or less"
+    slow = (
+        "! unit 7 is slow: half of its answers take 80.0 ms or more, those of most others 5.0 ms "
+        "or less"
+    )
     assert slow in " ".join(line.strip() for line in told(5))
     assert not any("slow" in line and line.startswith("!") for line in told(4))
 
@@ -270,6 +273,7 @@ def test_answers_that_nobody_asked_for_are_neither_requests_nor_exceptions_of_th
     told = judged(statistics)
     text = "\n".join(line.text for line in statistics_lines(told, width=None))
     assert ": 2 requests in " in text
+    assert "1 answer without a request, not counted above" in text
     assert "! unit 1 refuses 1 of its 2 requests (50 %), with 02 illegal data address" in text
     document = json.loads(statistics_document(statistics, told, sources=["a"], where=None))
     (link,) = document["links"]

@@ -91,7 +91,7 @@ def test_a_slave_that_answers_too_soon_is_found_at_every_share(
     ((code, count, message),) = found(polled(9600, share, answer_ns=characters), tmp_path)
     assert (code, count) == ("RTU-103", round(100 * share))
     assert message.startswith(
-        f"unit 2 answers too soon in {count} of 100 transactions, the soonest"
+        f"unit 2 answers too soon in {count} of the unit's 100 transactions, the soonest"
     )
     assert f"after {characters:.1f} characters, " in message
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 
 from mbtool.core import (
@@ -18,12 +20,15 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
-from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation
+from mbtool.devices import NamedTransaction
+from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation, transaction_to_jsonl
 from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
 from mbtool.modbus.response import DamagedAnswers
 from mbtool.query.where import parse_where
+from mbtool.workflows.anonymise import anonymous_conversion
 from mbtool.workflows.convert import Conversion
+from mbtool.workflows.shared.anonymous_packets import AnonymousChoice
 from mbtool.workflows.shared.pcapng_output import Converted
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
@@ -204,9 +209,72 @@ def test_where_takes_no_fault_of_others_along_but_the_damaged_answers_of_its_own
         assert len(records) == 24 + damaged
 
 
+@pytest.mark.parametrize("is_anonymous", [False, True])
+@pytest.mark.parametrize("between", [(), (".pcapng",), (".mcap",), (".mcap", ".pcapng", ".mcap")])
+def test_a_framing_error_of_a_line_stays(
+    between: tuple[str, ...], tmp_path: Path, *, is_anonymous: bool
+) -> None:
+    path = CAPTURES / "findings" / "RTU-203.pcap"
+    for number, suffix in enumerate(between):
+        out = tmp_path / f"{number}{suffix}"
+        window = TimeWindow.parse(None, None)
+        conversion = Conversion([str(path)], ReadingOptions(), window)
+        if is_anonymous:
+            with anonymous_conversion(conversion, b"key", AnonymousChoice()) as copy:
+                copy.write(str(out))
+        else:
+            conversion.write(str(out))
+        path = out
+    records = list(Reading([str(path)], ReadingOptions()).records())
+    errors = [one for one in records if isinstance(one, WireEvent)]
+    assert [(one.kind, one.message) for one in errors] == [
+        (EventKind.LINE_ERROR, "a framing error")
+    ]
+    (first, _) = (one for one in records if isinstance(one, NamedTransaction))
+    assert first.response_ns is not None
+    assert errors[0].link == first.link
+    assert errors[0].ts_ns - first.response_ns == 50_000_000
+
+
+def test_a_part_chosen_by_transactions_has_no_errors_of_the_line(tmp_path: Path) -> None:
+    out = tmp_path / "x.pcapng"
+    _convert([CAPTURES / "findings" / "RTU-203.pcap"], out, where="unit == 1")
+    assert not any(
+        isinstance(one, WireEvent) for one in Reading([str(out)], ReadingOptions()).records()
+    )
+
+
 def test_a_serial_line_does_not_fit_into_pcap(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"name it .*x\.pcapng"):
         _convert([CAPTURES / "ft1a-touch-line.mcap"], tmp_path / "x.pcap")
+    assert not (tmp_path / "x.pcap").exists()
+
+
+@pytest.mark.parametrize("name", ["plant.pcap", "fa3-at1m8x-setup.pcap"])
+def test_transactions_of_a_network_become_packets_that_give_them_again(
+    name: str, tmp_path: Path
+) -> None:
+    lines, packets = tmp_path / "x.jsonl", tmp_path / "x.pcap"
+    before = [one for one in _transactions(CAPTURES / name) if isinstance(one, NamedTransaction)]
+    lines.write_bytes(b"".join(transaction_to_jsonl(one) for one in before))
+    done = _convert([lines], packets)
+    after = [one for one in _transactions(packets) if isinstance(one, NamedTransaction)]
+    assert done.packets == sum((one.request_raw is not None) + (one.response_raw is not None)
+                               for one in before)  # fmt: skip
+    unseen = dict.fromkeys(("source_mac", "destination_mac", "response_mac"))
+    seen = [msgspec.structs.replace(one, **unseen) for one in before]
+    assert sorted(after, key=attrgetter("start_ns")) == sorted(seen, key=attrgetter("start_ns"))
+
+
+def test_a_tap_goes_into_pcap_unless_an_end_has_only_a_name(tmp_path: Path) -> None:
+    (one, *_) = _transactions(CAPTURES / "plant.pcap")
+    assert isinstance(one, NamedTransaction)
+    lines = tmp_path / "x.jsonl"
+    lines.write_bytes(
+        transaction_to_jsonl(msgspec.structs.replace(one, destination="plc.example:502"))
+    )
+    with pytest.raises(UsageError, match=r"'plc\.example' .*; name it .*x\.pcapng"):
+        _convert([lines], tmp_path / "x.pcap")
     assert not (tmp_path / "x.pcap").exists()
 
 

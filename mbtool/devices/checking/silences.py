@@ -153,7 +153,7 @@ class LineSilences:
         return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
 
     @property
-    def masters_tear(self) -> bool:
+    def master_splits_requests(self) -> bool:
         """True if the master tears its requests, while responses are whole and frames apart."""
         is_glued = any(sign is Verdict.GLUED for sign, _ in self.wrong)
         split = sum(one.number for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
@@ -163,7 +163,7 @@ class LineSilences:
 
     def torn_finding(self) -> Finding:
         """Make the finding RTU-102 about a master that tears its requests. Call it only if
-        `masters_tear` and `are_in_blocks`.
+        `master_splits_requests` and `are_in_blocks`.
         """
         first = next(one for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
         cases = _Silences(first.first, self.only_request_split)
@@ -195,7 +195,7 @@ class LineSilences:
             code, text = _SILENCES[sign]
             total = self.of_unit[unit]
             if cases.number >= MIN_SILENCES and cases.number >= MIN_SILENCES_SHARE * total:
-                text += f" in {cases.number} of {total} transactions"
+                text += f" in {cases.number} of the unit's {total} transactions"
                 which = _which_t3_5(format_) if sign is Verdict.GLUED else ""
                 yield _summary(code, cases, text + which)
             else:
@@ -216,7 +216,8 @@ class LineSilences:
             code, text = _SILENCES[sign]
             if sign is not Verdict.GLUED:
                 total = self.of_unit[unit]
-                yield _summary(code, cases, f"{text} in {cases.number} of {total} transactions")
+                text += f" in {cases.number} of the unit's {total} transactions"
+                yield _summary(code, cases, text)
         for (is_request, unit), cases in self.too_soon.items():
             total = self.of_unit[unit]
             yield _summary("RTU-103", cases, _too_soon_text(is_request, cases, total, format_))
@@ -243,7 +244,8 @@ def _too_soon_text(is_request: bool, cases: _Silences, total: int, format_: Seri
     least_ns = cases.least_ns or 0
     characters = least_ns / format_.character_ns
     soonest = f"{characters:.1f} characters, {least_ns / 1e6:.2f} ms"
-    text = f"{who} too soon in {cases.number} of {total} transactions, the soonest after {soonest}"
+    text = f"{who} too soon in {cases.number} of the unit's {total} transactions, "
+    text += f"the soonest after {soonest}"
     return text + _which_t3_5(format_, keeps_characters=characters >= _T3_5_CHARACTERS)
 
 

@@ -1,7 +1,7 @@
 """Keeps the transactions before and after the longest pauses of each poll, for the report's table.
 
-A poll is all equal requests of one master. Which of its pauses are told is known at the end only
-(troubles/polling.py).
+A poll is all equal requests of one master. Only at the end of the capture it is known which of its
+pauses are reported (troubles/polling.py).
 """
 
 # Memory: the last transaction of each of at most MAX_POLLS polls, and two transactions for each of
@@ -9,6 +9,7 @@ A poll is all equal requests of one master. Which of its pauses are told is know
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -63,7 +64,7 @@ class BesidePauses:
         if last is not None:
             pause_ns = one.start_ns - last.one.start_ns
             if pause_ns < 0:
-                return  # It became known late, as it has no response.
+                return  # It has no response, so it was decoded late.
             if self._is_long(key, pause_ns):
                 self._add(key, last, asked)
         self._set_last(key, asked)
@@ -103,8 +104,16 @@ class BesidePauses:
                 last = asked[slot] if before < 0 else asked_at(before)[0]
                 if last is not None:
                     self._add(of_slot[slot], last, *asked_at(after))
-        for key, one in zip(of_slot, asked_at(*last_places), strict=True):
-            self._set_last(key, one)
+        held = OrderedDict[PollKey, int](dict.fromkeys(self._last, -1))
+        """For each poll that is kept: its slot, -1 if it is not in the batch."""
+        for key, slot in slots.items():
+            if len(held) == MAX_POLLS and key not in held:
+                held.popitem(last=False)
+            held[key] = slot
+        made = iter(asked_at(*(last_places[slot] for slot in held.values() if slot >= 0)))
+        self._last = {
+            key: self._last[key] if slot < 0 else next(made) for key, slot in held.items()
+        }
 
     def beside(self, begins_ns: Collection[int]) -> dict[int, NamedTransaction]:
         """Return the transactions before and after the pauses that begin at these times (UTC ns),

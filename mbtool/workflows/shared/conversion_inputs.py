@@ -16,6 +16,7 @@ from mbtool.core import Chunk, Direction, InputError, Packet, SerialLink, UsageE
 from mbtool.core.evidence import Connection, Endpoint, Stamp
 from mbtool.logs import LogReader
 from mbtool.logs.transaction_lines import read_jsonl
+from mbtool.modbus import Transport
 from mbtool.packets import CaptureHead
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture, place_of
 from mbtool.workflows.shared.capture_parts import BACK_NS, Part
@@ -147,7 +148,8 @@ def _key_of(one: NamedTransaction, *, is_request: bool) -> StreamKey:
     if master is None or slave is None:
         return StreamKey(one.link, Direction.UNKNOWN, None)
     direction = Direction.REQUEST if is_request else Direction.RESPONSE
-    return StreamKey(one.link, direction, Connection(master, slave))
+    is_udp = one.transport in (Transport.UDP, Transport.RTU_UDP)
+    return StreamKey(one.link, direction, Connection(master, slave, is_udp=is_udp))
 
 
 def _endpoint(text: str | None) -> Endpoint | None:

@@ -62,7 +62,7 @@ def test_broken_silences_are_one_finding_for_a_unit(verdict: Verdict, code: str)
     (one,) = findings(*good, *bad, *fine)
     assert (one.code, one.unit, one.count) == (code, 2, 3)
     assert one.ts_ns == bad[0].start_ns
-    assert one.message.endswith("in 3 of 15 transactions")
+    assert one.message.endswith("in 3 of the unit's 15 transactions")
     assert codes(*good, *bad, *fine, on_line(at_ms=18_500, unit=2)) == []
 
 
@@ -170,7 +170,7 @@ def test_a_master_that_tears_its_requests_is_told_from_an_adapter(
     found = findings(*records)
     if torn < 8:  # Too few transactions for a word about adapters: RTU-102 as for any frame.
         assert [one.message for one in found] == [
-            "a silence of t3.5 or longer inside a frame in 7 of 7 transactions"
+            "a silence of t3.5 or longer inside a frame in 7 of the unit's 7 transactions"
         ]
         return
     assert [one.code for one in found] == codes_of_line
