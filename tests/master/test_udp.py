@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 READ = bytes.fromhex("03 0000 0001")
 ONE = bytes.fromhex("03 02 0007")
 PATIENCE_S = 20.0
-SHORT_NS = 50_000_000
+SHORT_NS = 1_000_000_000
 
 
 @contextmanager
