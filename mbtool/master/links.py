@@ -80,6 +80,8 @@ _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
+MOST_TIMES = 3
+"""A busy machine makes the wait for a response at most so many times as long."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -89,22 +91,23 @@ class Patience:
     """A time for which something is awaited, in waits of at most SLICE_NS.
 
     A wait that takes longer than that, as this process got no processor, counts as SLICE_NS: the
-    slave may be on the same machine, and what it sent meanwhile is read at the next look.
+    slave may be on the same machine, and what it sent meanwhile is read at the next look. So the
+    time may become longer, but at most MOST_TIMES as long.
     """
 
     def __init__(self, wait_ns: int, most_ns: int = SLICE_NS) -> None:
         """A single wait counts as `most_ns` at most."""
         self._wait_ns, self._most_ns = wait_ns, most_ns
         self._looked_ns = time.monotonic_ns()
-        self.waited_ns = 0
-        """The time that counts, in ns."""
+        self._end_ns = self._looked_ns + MOST_TIMES * wait_ns
+        self._waited_ns = 0
 
     def next_ns(self) -> int:
         """Return how long to wait next, in ns; 0 or less if the time is over."""
         now_ns = time.monotonic_ns()
-        self.waited_ns += min(now_ns - self._looked_ns, self._most_ns)
+        self._waited_ns += min(now_ns - self._looked_ns, self._most_ns)
         self._looked_ns = now_ns
-        return min(self._wait_ns - self.waited_ns, SLICE_NS)
+        return min(self._wait_ns - self._waited_ns, self._end_ns - now_ns, SLICE_NS)
 
 
 class ReceivedResponse(NamedTuple):

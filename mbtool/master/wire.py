@@ -188,16 +188,19 @@ class SerialWire(Wire):
 
     def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
         begin_ns = time.monotonic_ns()
-        raw, first_ns, longest_ns = b"", 0, 0
+        raw, first_ns, read_ns, longest_ns, pause_ns = b"", 0, 0, 0, 0
         patience = Patience(wait_ns)
         whole = Patience(wait_ns + _REST_NS + MAX_ASCII_ADU * self._format.character_ns)
         while whole.next_ns() > 0 and (slice_ns := patience.next_ns()) > 0:
-            data, _ = self._master.overhear(slice_ns)
-            if data:
-                patience.next_ns()
-                longest_ns = max(longest_ns, patience.waited_ns) if raw else 0
-                first_ns = first_ns or time.monotonic_ns()
+            data, silent_ns = self._master.overhear(slice_ns)
+            now_ns = time.monotonic_ns()
+            if not data:
+                # What came since the last read would be there.
+                longest_ns = max(longest_ns, silent_ns - read_ns) if raw else 0
+            else:
+                first_ns, read_ns = first_ns or now_ns, now_ns
                 raw += data
+                pause_ns = longest_ns
                 patience = Patience(self._gap_ns if self._adus(raw) else _REST_NS)
         after_ns = first_ns - (begin_ns if since_ns is None else since_ns) if first_ns else 0
         self._longest_ns = max(self._longest_ns, after_ns)
@@ -206,7 +209,7 @@ class SerialWire(Wire):
             self._adus(raw),
             after_ns,
             rest=raw.rpartition(_ASCII_END)[2] if self._master.link.ascii else b"",
-            longest_pause_ns=longest_ns,
+            longest_pause_ns=pause_ns,
         )
 
     def damage(self, raw: bytes, request: bytes) -> str:

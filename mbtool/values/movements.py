@@ -132,6 +132,14 @@ class Movements:
         self._known_no_values = np.array(
             [np.nan if one.no_value is None else one.no_value for one in values], np.float64
         )
+        self._is_judged_by_itself = np.array(
+            [
+                one.minimum is not None or one.maximum is not None or bool(one.not_valid)
+                for one in values
+            ],
+            np.bool_,
+        )
+        """True for values that are judged in each answer, also if they stay as they were."""
         self._is_float = np.array([one.reading.type.is_float for one in values], np.bool_)
 
     @np.errstate(all="ignore")  # A device may send any number, so sums may overflow.
@@ -139,7 +147,7 @@ class Movements:
         """Take answers: their times, and their registers one after the other (native order)."""
         times = np.array(times_ns, np.int64)
         rows = np.frombuffer(words, np.uint16).reshape(len(times), -1)
-        numbers = self._numbers(rows)
+        numbers, moves = self._numbers(rows)
         self.first_ns = self.first_ns or int(times[0])
         before = times[0] if self._last_ns is None else self._last_ns
         gaps = np.diff(times, prepend=before)
@@ -148,58 +156,67 @@ class Movements:
         begin = 0
         for cut in [*cuts.tolist(), len(times)]:
             if cut > begin:
-                self._take(times[begin:cut], numbers[begin:cut])
+                is_moving = moves | self._is_judged_by_itself | (numbers[begin] != self._last)
+                places = np.flatnonzero(is_moving)
+                self._take(times[begin:cut], numbers[begin:cut, places], places)
             if cut < len(times):
                 self._pause(int(times[cut]))
             begin = cut
 
-    def _numbers(self, rows: npt.NDArray[np.uint16]) -> Floats:
+    def _numbers(self, rows: npt.NDArray[np.uint16]) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        """Return the numbers of each row, and which of the values are not the same in all rows."""
         found = np.empty((len(rows), len(self.values)))
+        word_moves = (rows != rows[0]).any(axis=0)
+        moves = np.zeros(len(self.values), np.bool_)
         for place, one in enumerate(self.values):
-            columns = rows[:, one.at : one.at + one.reading.words]
+            moves[place] = word_moves[one.at : one.at + one.reading.words].any()
+            some = rows if moves[place] else rows[:1]
+            columns = some[:, one.at : one.at + one.reading.words]
             found[:, place] = _numbers_of(columns, one.reading)
-        return found
+        return found, moves
 
-    def _take(self, times: Int64s, numbers: Floats) -> None:
-        numbers = self._without_no_values(times, numbers)
-        self._note_limits(times, numbers)
-        before = np.vstack([self._last, numbers[:-1]])
+    def _take(self, times: Int64s, numbers: Floats, places: Int64s) -> None:
+        """Take answers; `numbers` has those at `places` only, as the others stayed as they were."""
+        numbers = self._without_no_values(times, numbers, places)
+        self._note_limits(times, numbers, places)
+        before = np.vstack([self._last[places], numbers[:-1]])
         with np.errstate(invalid="ignore", over="ignore"):
             steps = numbers - before
             sizes = np.nan_to_num(np.abs(steps), nan=0.0, posinf=0.0)
         changed = sizes > 0
         rises = (steps > 0) & changed
-        self.low = np.fmin(self.low, np.fmin.reduce(numbers))
-        self.high = np.fmax(self.high, np.fmax.reduce(numbers))
-        self.least_step = np.minimum(self.least_step, np.where(changed, sizes, np.inf).min(axis=0))
+        self.low[places] = np.fmin(self.low[places], np.fmin.reduce(numbers))
+        self.high[places] = np.fmax(self.high[places], np.fmax.reduce(numbers))
+        least = np.where(changed, sizes, np.inf).min(axis=0)
+        self.least_step[places] = np.minimum(self.least_step[places], least)
         falls = changed & ~rises
         if falls.any():
-            self._note_falls(times, before, numbers, falls, rises)
-        self.changes = self.changes + changed.sum(axis=0)
-        self.rises = self.rises + rises.sum(axis=0)
-        self.risen = self.risen + np.where(rises, sizes, 0.0).sum(axis=0)
-        self._note_steps(times, before, numbers, sizes)
-        self._note_rests(times, before, changed)
+            self._note_falls(times, before, numbers, falls, rises, places)
+        self.changes[places] += changed.sum(axis=0)
+        self.rises[places] += rises.sum(axis=0)
+        self.risen[places] += np.where(rises, sizes, 0.0).sum(axis=0)
+        self._note_steps(times, before, numbers, sizes, places)
+        self._note_rests(times, before, changed, places)
         self.rows += len(times)
-        self._last = numbers[-1]
+        self._last[places] = numbers[-1]
 
-    def _without_no_values(self, times: Int64s, numbers: Floats) -> Floats:
-        is_unset = (numbers[:, :, None] == self._no_values[None]).any(axis=2)
+    def _without_no_values(self, times: Int64s, numbers: Floats, places: Int64s) -> Floats:
+        is_unset = (numbers[:, :, None] == self._no_values[places]).any(axis=2)
         is_lacking = ~np.isfinite(numbers)
-        is_unset |= is_lacking & self._is_float
-        is_lacking |= is_unset | (numbers == self._known_no_values)
+        is_unset |= is_lacking & self._is_float[places]
+        is_lacking |= is_unset | (numbers == self._known_no_values[places])
         if not is_lacking.any():
             return numbers
-        for place in np.flatnonzero(is_unset.any(axis=0)).tolist():
-            _note(self._unset, place, times, numbers[:, place], is_unset[:, place])
-        places = np.where(is_lacking, -1, np.arange(len(times))[:, None])
-        places = np.maximum.accumulate(places)
-        filled: Floats = np.take_along_axis(numbers, np.maximum(places, 0), axis=0)
-        return np.where(places < 0, self._last, filled)
+        for at in np.flatnonzero(is_unset.any(axis=0)).tolist():
+            _note(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
+        rows = np.where(is_lacking, -1, np.arange(len(times))[:, None])
+        rows = np.maximum.accumulate(rows)
+        filled: Floats = np.take_along_axis(numbers, np.maximum(rows, 0), axis=0)
+        return np.where(rows < 0, self._last[places], filled)
 
-    def _note_limits(self, times: Int64s, numbers: Floats) -> None:
-        for place, one in enumerate(self.values):
-            own = numbers[:, place]
+    def _note_limits(self, times: Int64s, numbers: Floats, places: Int64s) -> None:
+        for at, place in enumerate(places.tolist()):
+            one, own = self.values[place], numbers[:, at]
             if one.minimum is not None or one.maximum is not None:
                 scaled = own * one.scale + one.offset
                 is_outside = np.zeros(len(times), np.bool_)
@@ -219,20 +236,25 @@ class Movements:
         after: Floats,
         falls: npt.NDArray[np.bool_],
         rises: npt.NDArray[np.bool_],
+        places: Int64s,
     ) -> None:
-        for place in np.flatnonzero(falls.any(axis=0)).tolist():
-            rows = np.flatnonzero(falls[:, place])
+        for at in np.flatnonzero(falls.any(axis=0)).tolist():
+            place = int(places[at])
+            rows = np.flatnonzero(falls[:, at])
             self.last_fall[place] = self.rows + int(rows[-1])
             own = self._falls.setdefault(place, _Falls())
             for row in rows[: FALLS - len(own.steps)].tolist():
-                old, new = float(before[row, place]), float(after[row, place])
+                old, new = float(before[row, at]), float(after[row, at])
                 own.steps.append(Move(old - new, self.rows + row, int(times[row]), old, new))
-                own.rises.append(int(self.rises[place] + rises[:row, place].sum()))
+                own.rises.append(int(self.rises[place] + rises[:row, at].sum()))
 
-    def _note_steps(self, times: Int64s, before: Floats, after: Floats, sizes: Floats) -> None:
-        some = np.flatnonzero(sizes.max(axis=0) > self._largest[0, -1])
+    def _note_steps(
+        self, times: Int64s, before: Floats, after: Floats, sizes: Floats, places: Int64s
+    ) -> None:
+        some = np.flatnonzero(sizes.max(axis=0) > self._largest[0, -1, places])
         if not len(some):
             return
+        places = places[some]
         sizes = sizes[:, some]
         most = min(STEPS, len(sizes))
         top = np.argpartition(-sizes, most - 1, axis=0)[:most]
@@ -241,20 +263,23 @@ class Movements:
             np.take_along_axis(one, top, axis=0)
             for one in (sizes, before[:, some], after[:, some], rows)
         ]
-        both = np.concatenate([self._largest[:, :, some], np.array(own)], axis=1)
-        times_ns = np.concatenate([self._largest_ns[:, some], times[top]])
+        both = np.concatenate([self._largest[:, :, places], np.array(own)], axis=1)
+        times_ns = np.concatenate([self._largest_ns[:, places], times[top]])
         order = np.argsort(-both[0], axis=0, kind="stable")[:STEPS]
-        self._largest[:, :, some] = np.take_along_axis(both, order[None], axis=1)
-        self._largest_ns[:, some] = np.take_along_axis(times_ns, order, axis=0)
+        self._largest[:, :, places] = np.take_along_axis(both, order[None], axis=1)
+        self._largest_ns[:, places] = np.take_along_axis(times_ns, order, axis=0)
 
-    def _note_rests(self, times: Int64s, before: Floats, changed: npt.NDArray[np.bool_]) -> None:
+    def _note_rests(
+        self, times: Int64s, before: Floats, changed: npt.NDArray[np.bool_], places: Int64s
+    ) -> None:
         moves = self.moves + np.concatenate([[0], np.cumsum(changed.sum(axis=1))])
         """The number of changes before each row, and at the end."""
         self.moves = int(moves[-1])
         if not self.rows:
             self._run_ns[:] = times[0]
-        for place in np.flatnonzero(changed.any(axis=0)).tolist():
-            rows = np.flatnonzero(changed[:, place])
+        for column in np.flatnonzero(changed.any(axis=0)).tolist():
+            place = int(places[column])
+            rows = np.flatnonzero(changed[:, column])
             begins = np.concatenate([[self._run_row[place]], self.rows + rows[:-1]])
             lengths = self.rows + rows - begins
             at = int(np.argmax(lengths))
@@ -265,7 +290,7 @@ class Movements:
             self._note_rest(
                 place,
                 (int(lengths[at]), begin_ns, int(times[rows[at]]), int(moves[rows[at]]) - begun),
-                float(before[rows[at], place]),
+                float(before[rows[at], column]),
                 int(others.max()),
             )
             self._run_row[place] = self.rows + int(rows[-1])

@@ -382,7 +382,9 @@ def test_very_many_equal_answers_at_once_are_passed_over() -> None:
 
 
 def test_figures_of_movements_do_not_depend_on_portions() -> None:
-    columns = (noise(1), slow(2), [number & 0xFFFF for number in counter(65000)])
+    standing = [700] * ROWS
+    standing[90:95], standing[150], standing[170:] = [0xFFFF] * 5, 701, [900] * 70
+    columns = (noise(1), slow(2), [number & 0xFFFF for number in counter(65000)], standing)
     rows = [*zip(*columns, strict=True)]
     times = [at * SECOND + (900 * SECOND) * (at > 130) for at in range(ROWS)]
     values = judged_values(WordHistory(Table.HOLDING_REGISTERS, 0, times[:64], rows[:64]))
@@ -395,7 +397,7 @@ def test_figures_of_movements_do_not_depend_on_portions() -> None:
         return [
             (one.rows, one.moves, one.changes.tolist(), one.rises.tolist(), one.low.tolist()),
             *(
-                (one.rests(at), [each.size for each in one.steps(at)], one.falls(at))
+                (one.rests(at), [each.size for each in one.steps(at)], one.falls(at), one.unset(at))
                 for at in range(len(values))
             ),
         ]

@@ -54,10 +54,10 @@ FAULTS: tuple[tuple[str, str, str], ...] = (
     ("rtu", "kind = 'bad-crc'", WRONG_CRC),
     ("rtu", "kind = 'bad-crc', every = 9", WRONG_CRC),
     ("rtu", "kind = 'bad-crc', functions = [2]", WRONG_CRC),
-    ("rtu", "kind = 'split', gap_ms = 100", "the answer pauses "),
-    ("rtu", "kind = 'split', pieces = 3, gap_ms = 80, functions = [3]", "the answer pauses "),
-    ("rtu", "kind = 'delay', ms = 4000", "got the answer only after 4."),
-    ("rtu", "kind = 'delay', ms = 4000, every = 11", "got the answer only after 4."),
+    ("rtu", "kind = 'split', gap_ms = 400", "the answer pauses "),
+    ("rtu", "kind = 'split', pieces = 3, gap_ms = 300, functions = [3]", "the answer pauses "),
+    ("rtu", "kind = 'delay', ms = 4000", "got the answer only after "),
+    ("rtu", "kind = 'delay', ms = 4000, every = 11", "got the answer only after "),
     ("ascii", "kind = 'bad-crc'", "got a wrong LRC: f6, right is f9"),
     ("ascii", "kind = 'truncated'", "got a frame without its end, CR LF"),
     ("ascii", "kind = 'extra-bytes', bytes = '3a'", "expected nothing behind the answer, got 3a"),
@@ -76,7 +76,7 @@ FAULTS: tuple[tuple[str, str, str], ...] = (
     ("tcp", "kind = 'close'", CLOSED),
     ("tcp", "kind = 'close', every = 10", CLOSED),
     ("tcp", "kind = 'reset'", CLOSED),
-    ("tcp", "kind = 'delay', ms = 4000", "got the answer only after 4."),
+    ("tcp", "kind = 'delay', ms = 4000", "got the answer only after "),
     ("rtu+tcp", "kind = 'bad-crc'", WRONG_CRC),
     ("rtu+tcp", "kind = 'truncated'", "got 5 bytes, where the answer has 6"),
     ("rtu+tcp", "kind = 'extra-bytes'", "got 1 byte of values and 1 byte behind them"),
@@ -107,8 +107,8 @@ def results(
     """The results of the embedded slave with a fault, up to the first one that tells `until`."""
     profile = load_profile(name)
     # On a busy machine an answer may come seconds late.
-    waits = fault is not None and ("no-answer" in fault or "delay" in fault)
-    timeout_ns = 3_000_000_000 if waits else 30_000_000_000
+    timeouts_s = {"no-answer": 3, "delay": 1}
+    timeout_s = next((one for kind, one in timeouts_s.items() if kind in (fault or "")), 30)
     faults = None
     if fault is not None:
         assert folder is not None
@@ -125,7 +125,7 @@ def results(
         link = parse_link(slave.place, "the slave")
     known = profile.in_mode(transport_of(link))
     spans = [parse_span(text, [known]) for text in writes]
-    with open_wire(link, timeout_ns, 0) as wire:
+    with open_wire(link, timeout_s * 1_000_000_000, 0) as wire:
         work = Conformance(known, link, wire, UNIT)
         cases = work.report.cases
         return list(work.run(spans, lambda: until is not None and until in cases[-1].problem))
