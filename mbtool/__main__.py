@@ -1,9 +1,9 @@
 """The start of the program: handles Ctrl-C before anything else is loaded."""
 
-# Loading the command line takes a few tenths of a second. Until main.py sets its signal handlers,
-# no output has to be completed, so a signal ends the program at once. Python's module `signal`
-# takes as long to load as all else here, so sys.excepthook handles Ctrl-C before that. Ctrl-C that
-# comes earlier, while Python itself starts, ends in Python's own traceback.
+# Loading the command line takes a few tenths of a second. Until cli/main.py sets its signal
+# handlers, no output has to be completed, so a signal ends the program at once. Loading Python's
+# module `signal` takes as long as loading all other modules here, so sys.excepthook handles Ctrl-C
+# until then. If Ctrl-C comes earlier, while Python itself starts, Python prints its own traceback.
 #
 # When the interpreter ends, it searches all objects for cyclic garbage several times, which takes a
 # fifth of the time of a short command. The system frees the memory anyway, so gc.freeze() excludes

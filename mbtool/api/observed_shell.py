@@ -168,7 +168,7 @@ class ObservedShell:
         ]
         if bool(found) if times is None else len(found) == times:
             return found
-        raise AssertionError(_disappointment(what, times, written, len(found), asked))
+        raise AssertionError(_failure_text(what, times, written, len(found), asked))
 
     def _contents(self, what: str, written: float | str | Sequence[int] | None) -> list[int] | None:
         """Return the contents of registers for a value that a request writes to `what`."""
@@ -203,7 +203,7 @@ class ObservedShell:
         try:
             span = find_span(what, self._profiles)
         except UsageError as error:
-            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
+            raise error.with_traceback(None) from None  # Hide the calls inside mbtool.
         if span is not None:
             return span
         named = self._target(what)
@@ -255,7 +255,7 @@ class ObservedShell:
         try:
             self._add_faults([{"kind": kind, **keys}])
         except UsageError as error:
-            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
+            raise error.with_traceback(None) from None  # Hide the calls inside mbtool.
 
     def clear_faults(self) -> None:
         """Remove all faults, so that responses are correct again."""
@@ -326,7 +326,7 @@ def _line(record: Record) -> str:
     return f"{clock_time(record.start_ns)}  unit {record.unit}  {text}"
 
 
-def _disappointment(
+def _failure_text(
     what: str, times: int | None, values: object, found: int, asked: Sequence[NamedTransaction]
 ) -> str:
     wanted = "at least once" if times is None else "once" if times == 1 else f"{times} times"

@@ -9,7 +9,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import Format, TableOptionGroup
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbtool.views.table_options import TableOptions
 
 
-@takes_groups
+@with_option_groups
 def read(
     link: LinkArgument,
     references: ReferencesArgument,
@@ -38,7 +38,7 @@ def read(
     _ask_all(asked, requests, format_, options)
 
 
-@takes_groups
+@with_option_groups
 def write(
     link: LinkArgument,
     values: Annotated[

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
@@ -44,7 +44,7 @@ _SUFFIXES = {
 }
 
 
-@takes_groups
+@with_option_groups
 def check(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
@@ -298,7 +298,7 @@ class _JUnitPrinter(_Printer):
         self._file = file
 
     def add(self, found: FileFinding) -> None:
-        pass  # Broken rules are among the troubles.
+        pass  # The troubles include broken rules.
 
     def end(self, run: CheckRun, why_partial: str | None) -> None:
         from mbtool.views.junit import Case, junit_xml

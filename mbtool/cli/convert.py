@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     FORMATS,
     DeviceOption,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.pcapng_output import Converted
 
 
-@takes_groups
+@with_option_groups
 def convert(
     files: Annotated[
         list[str],
@@ -140,7 +140,7 @@ def _convert(
 ) -> None:
     from pathlib import PurePath
 
-    from mbtool.cli.output_file import kept_told, left_told
+    from mbtool.cli.output_file import report_kept, report_left
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, DEVICE
@@ -152,7 +152,7 @@ def _convert(
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
-        with left_told(out), kept_told(out):
+        with report_left(out), report_kept(out):
             done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
         _tell(done, out)
         if topic_per_point and not done.points:

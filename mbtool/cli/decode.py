@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.decode_job import JobOptionGroup, is_job, refuse_others, run_job
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     FORMATS,
     DeviceOption,
@@ -46,7 +46,7 @@ _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read new records from the log."""
 
 
-@takes_groups
+@with_option_groups
 def decode(
     files: Annotated[
         list[str],

@@ -16,7 +16,7 @@ from mbtool.cli.command import Command, with_plain_json, write_examples
 from mbtool.cli.completion import items, profile_names
 from mbtool.cli.devices_import import import_
 from mbtool.cli.devices_own import draft, export, new, schema
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import ListFormat, SourceOptions
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ devices.command("schema", cls=Command)(schema)
 
 
 @devices.callback(invoke_without_command=True)
-@takes_groups
+@with_option_groups
 def _devices(
     context: typer.Context,
     *,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import OverwriteOption, SourceOptions
 from mbtool.cli.profile_files import (
     OutputOption,
@@ -47,7 +47,7 @@ def new(
     say(f"{file}: written; edit it, and look at it with mbtool devices {_as_argument(file)}")
 
 
-@takes_groups
+@with_option_groups
 def draft(
     file: Annotated[
         str, typer.Argument(metavar="CAPTURE", help="A capture or log, as for decode.")

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption
 
 if TYPE_CHECKING:
     from mbtool.workflows.diff import Comparison
 
 
-@takes_groups
+@with_option_groups
 def diff(
     a: Annotated[
         str, typer.Argument(metavar="A", help="A log or a capture, as for decode: how it was.")

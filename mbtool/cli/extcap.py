@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.option_groups import OptionGroup, takes_groups
+from mbtool.cli.option_groups import OptionGroup, with_option_groups
 
 if TYPE_CHECKING:
     from mbtool.core import LinkSpec
@@ -98,7 +98,7 @@ class LineOptions(OptionGroup):
         return assignments(texts)
 
 
-@takes_groups
+@with_option_groups
 def extcap(
     *,
     install: Annotated[
@@ -186,8 +186,8 @@ def _capture(fifo: str, options: LineOptions) -> None:
         raise OutputError(f"{fifo}: cannot be written: {reason_of(error)}") from error
     timing = LineTiming(devices)
     with pipe:
-        # Finding the settings of the line may take minutes. Wireshark ends it by SIGTERM, so this
-        # must not be within interruptible(), which would delay the end.
+        # Finding the settings of the line may take minutes, and Wireshark ends it with SIGTERM. So
+        # this is outside of interruptible(), which would delay the end.
         try:
             (line,) = timing.given(with_settings([link], say))
         except KeyboardInterrupt:

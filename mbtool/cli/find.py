@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import RawOption, SilenceOptions, SourceOptions
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _MOST_PLACES = 5
 
 
-@takes_groups
+@with_option_groups
 def find(
     arguments: Annotated[
         list[str],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     DeviceOption,
     OverwriteOption,
@@ -43,7 +43,7 @@ _SUFFIXES = {
 }
 
 
-@takes_groups
+@with_option_groups
 def inventory(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
@@ -93,7 +93,7 @@ def inventory(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.output import opened, say_if_empty, say_troubles, told_as_lost
-    from mbtool.cli.output_file import kept_told, left_told
+    from mbtool.cli.output_file import report_kept, report_left
     from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import say
@@ -112,13 +112,13 @@ def inventory(
     chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
     if baseline and chosen is InventoryFormat.DOT:
         raise UsageError("--baseline goes with --format table, json and csv")
-    with left_told(path):
+    with report_left(path):
         run = InventoryRun(files, options)
         # The output is opened only after all inputs were read, so that an error does not overwrite
         # an older output.
         run.reading.demand_files()
         demand_new(path, overwrite=overwrite)
-        with kept_told(path):
+        with report_kept(path):
             document = run.take(say, with_progress)
             run.reading.demand_readable()
             new = changes_since(baseline, document, options, say) if baseline else None

@@ -1,9 +1,9 @@
 """Prints the records of a live recording without waiting for the reader of the output."""
 
 # Text goes through a queue (view_queue.py). While the queue is full, whole rows are left out and
-# counted; the number is printed before the next row. If the output takes no more text, as its
-# reader has closed it (`head` does) or the disk is full, and a log keeps the records, the recording
-# goes on; without a log it ends with BrokenPipeError or OutputError.
+# counted; the number is printed before the next row. The output may take no more text, because its
+# reader has closed it (as `head` does) or the disk is full. Then the recording goes on if a log
+# keeps the records; without a log it ends with BrokenPipeError or OutputError.
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ class LogOptions(OptionGroup):
     ) -> Callable[[], Log] | None:
         """Return a function that creates the log of a recording; None if no log is wanted.
 
-        `told` keeps files of the log around troubles, `run` writes heartbeats into it.
+        `told` keeps the files of the log from around a trouble, `run` writes heartbeats into it.
         """
         from mbtool.cli.talk import say
         from mbtool.logs import Rotation

@@ -151,8 +151,8 @@ def main() -> None:
     for number in (signal.SIGTERM, hangup):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(code))
-    # If Ctrl-C has interrupted code that Python ran from a string, as dataclasses do, Python would
-    # end by SIGINT in place of the exit code. The next such code takes that back.
+    # If Ctrl-C interrupts code that Python runs from a string, as dataclasses do, Python later ends
+    # by SIGINT and not with the exit code. Running another string prevents that.
     exec("")
     sys.exit(code)
 

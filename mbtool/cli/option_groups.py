@@ -29,7 +29,7 @@ class OptionGroup:
     heading: ClassVar[str] = "Options"
 
 
-def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
+def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with each parameter of type OptionGroup replaced by its options."""
     types = get_type_hints(command, include_extras=True)
     groups: dict[str, type[OptionGroup]] = {}

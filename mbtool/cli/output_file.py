@@ -1,4 +1,4 @@
-"""Opens the file of --output, and says what is left of it after an error."""
+"""Opens the file of --output, and tells the user what the file contains after an error."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def demand_writable(file: Path) -> None:
 
 
 @contextmanager
-def kept_told(path: str | None) -> Iterator[None]:
+def report_kept(path: str | None) -> Iterator[None]:
     """Tell the user that an existing file `path` stays as it was if InputError ends the context."""
     has_old = is_old(path)
     try:
@@ -48,7 +48,7 @@ def kept_told(path: str | None) -> Iterator[None]:
 
 
 @contextmanager
-def left_told(path: str | None) -> Iterator[None]:
+def report_left(path: str | None) -> Iterator[None]:
     """Tell the user what there is at `path`, a file that is written, if Ctrl-C ends the context."""
     has_old = is_old(path)
 

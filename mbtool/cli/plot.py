@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
@@ -36,7 +36,7 @@ _CAPTURE_SUFFIXES = (".pcap", ".pcapng", ".mcap", ".sr", ".gz", ".zst")
 _PIPE_ROWS = 8
 
 
-@takes_groups
+@with_option_groups
 def plot(
     arguments: Annotated[
         list[str],

@@ -10,7 +10,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import Format, TableOptionGroup
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _LISTEN_NS = 1_000_000_000
 """Where another master left no pause, it is heard for this time (ns) before the next attempt."""
 
 
-@takes_groups
+@with_option_groups
 def poll(
     link: LinkArgument,
     references: ReferencesArgument,

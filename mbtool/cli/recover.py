@@ -24,12 +24,12 @@ def recover(
     Exit 1 when something is lost.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.output_file import left_told
+    from mbtool.cli.output_file import report_left
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted
     from mbtool.workflows.recover import loss_text, recover
 
-    with left_told(good):
+    with report_left(good):
         result = recover(broken, good, lambda loss: typer.echo(loss_text(loss)), replace=overwrite)
     if result.remark:
         say(f"mbtool: {result.remark}")

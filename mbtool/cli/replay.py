@@ -8,7 +8,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import AllowOption, DeviceOption, RawOption, SourceOptions, WhereOption
 from mbtool.cli.replay_options import (
     AS_BUS,
@@ -22,7 +22,7 @@ from mbtool.cli.replay_options import (
 )
 
 
-@takes_groups
+@with_option_groups
 def replay(
     context: typer.Context,
     files: Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
@@ -30,7 +30,7 @@ _OTHER_SUFFIXES = (".pdf", ".docx", ".odt", ".md", ".txt", ".csv", ".json", ".xm
 """Suffixes that are refused, as other programs would take the page for something else."""
 
 
-@takes_groups
+@with_option_groups
 def report(
     files: Annotated[
         list[str],
@@ -93,7 +93,7 @@ def report(
     """
     from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import opened, told_as_lost
-    from mbtool.cli.output_file import kept_told, left_told
+    from mbtool.cli.output_file import report_kept, report_left
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import say
@@ -130,7 +130,7 @@ def report(
         )
         _write_folder(folder, files, verdicts, words, path, overwrite=overwrite)
         return
-    with left_told(path):
+    with report_left(path):
         run = ReportRun(
             files,
             options,
@@ -146,7 +146,7 @@ def report(
         demand_new(path, overwrite=overwrite)
         # The output is opened only after all inputs were read, so that an error does not overwrite
         # an older page.
-        with kept_told(path):
+        with report_kept(path):
             run.read(with_progress)
             run.reading.demand_readable()
             text = run.page(against, say)
@@ -173,7 +173,7 @@ def _write_folder(
 ) -> None:
     """Write the page with a line for each of `files` to `path`, None for standard output."""
     from mbtool.cli.output import opened, told_as_lost
-    from mbtool.cli.output_file import left_told
+    from mbtool.cli.output_file import report_left
     from mbtool.cli.output_path import demand_new
     from mbtool.cli.progress import Files, with_progress
     from mbtool.cli.talk import say
@@ -183,7 +183,7 @@ def _write_folder(
     from mbtool.workflows.report_folder import page_of
 
     work = Files(len(files))
-    with left_told(path):
+    with report_left(path):
         demand_new(path, overwrite=overwrite)
         found = list(with_progress(work, work.counted(verdicts)))
         text = page_of(folder, found, words)

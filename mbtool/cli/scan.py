@@ -11,7 +11,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.ask_options import ListenOption, RecordOption, listen_ns
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import ListFormat
 from mbtool.cli.tls_options import TargetTlsOptions
 
@@ -39,7 +39,7 @@ _WORDS = {
 }
 
 
-@takes_groups
+@with_option_groups
 def scan(
     links: Annotated[
         list[str],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.connection_options import ConnectionOptions
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import AllowOption
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _WITH_UNIT = re.compile(r"(\d{1,3})=(.+)", re.ASCII | re.DOTALL)
 
 
-@takes_groups
+@with_option_groups
 def slave(
     profile: Annotated[
         str,

@@ -15,7 +15,7 @@ from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.live_out_options import LiveOutOptions
 from mbtool.cli.log_options import LogOptions
 from mbtool.cli.modem_options import ModemOptions
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     AllowOption,
     DeviceOption,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.stats import LiveStatistics
 
 
-@takes_groups
+@with_option_groups
 def sniff(
     links: Annotated[
         list[str],

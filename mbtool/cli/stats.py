@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     AllowOption,
     DeviceOption,
@@ -45,7 +45,7 @@ REFRESH_SHARE = 10
 decoding comes first."""
 
 
-@takes_groups
+@with_option_groups
 def stats(
     sources: Annotated[
         list[str],

@@ -87,7 +87,7 @@ def shown_progress(least_s: float | None = None) -> Iterator[Callable[[str], Non
             told_s = time.monotonic()
             say(text)
 
-    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    is_terminal = sys.stderr.isatty()
     if not is_terminal:
         yield show
         return

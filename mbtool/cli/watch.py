@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     AllowOption,
     DeviceOption,
@@ -40,7 +40,7 @@ _RESTORE = f"{_MODES_OFF}\x1b[<u\x1b[?1049l\x1b[?25h\x1b[0m"
 keys and the alternate screen. Then they show the cursor and set the normal style."""
 
 
-@takes_groups
+@with_option_groups
 def watch(
     sources: Annotated[
         list[str],

@@ -17,12 +17,12 @@ other packets that may carry Modbus to the Decoder.
 # the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
 # connection has ended.
 #
-# Where the packets' times go back by PATIENCE_NS or more, or where the reassembler may reach a
-# limit (idle time, number of connections) and drop an open connection, the results depend on the
-# order of all packets of all connections. Then the block is cut in halves again and again, and the
-# Decoder is fed all packets of those parts that are SMALLEST or smaller. A block with very many
-# connections is decoded in several parts, each with so few that they cannot make the reassembler
-# drop one of them.
+# In two cases the results depend on the order of all packets of all connections: the packets' times
+# go back by PATIENCE_NS or more, or the reassembler may reach a limit (idle time, number of
+# connections) and drop an open connection. Then the block is cut in halves again and again, until
+# the Decoder is fed all packets of a part of at most SMALLEST packets. A block with very many
+# connections is decoded in several parts, each with so few connections that they cannot make the
+# reassembler drop one of them.
 
 from __future__ import annotations
 
@@ -259,8 +259,8 @@ class _BlockPass:
         """For each segment, the latest time so far: times may go back by less than PATIENCE_NS."""
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """An index in `Segments`. The Decoder was fed each segment before it, or was told the
-        segment's time."""
+        """An index in `Segments`. The Decoder has got each segment before it, or only the segment's
+        time."""
         self._used = 0
         """An index in `Segments`. The connections of all segments before it were marked as used in
         the reassembler, which drops the connection that was not used for longest."""
@@ -312,9 +312,9 @@ class _BlockPass:
         self._decoder.reassembler.forget_excess()
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
-            # A stretch is passed as soon as its first packet is reached. Packets of other
-            # connections with earlier times than its last one were fed afterwards, and may have set
-            # the time of this connection back.
+            # A stretch is read when its first packet is reached. After that, packets of other
+            # connections were fed whose times may be earlier than the end of the stretch, and these
+            # may have set the time of this connection back.
             connection.note_time(end_ns)
         rows = self._rows.rows(self._block, self._taken) if self._taken else None
         self.plain_rows = 0 if rows is None else len(rows.request)

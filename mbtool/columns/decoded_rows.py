@@ -6,8 +6,8 @@
 # block's other transactions, so that all rows are printed, counted and checked together. Otherwise
 # each of them would divide the rows before and after it into short runs, which are slow.
 #
-# A transaction becomes a row if an object made of the row would be equal to it, and if the packet
-# of its response also completed it, so that the row has the same place among the results.
+# A transaction becomes a row if an object made from the row would equal it, and if the packet of
+# its response also completed it, so that the row has the same place among the results.
 
 from __future__ import annotations
 

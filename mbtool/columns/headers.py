@@ -10,9 +10,9 @@
 #                headers of IPv6
 #     other      everything else, which the Decoder would ignore
 #
-# The rules are those by which the Decoder reads single packets (packets/link_layer.py, segment.py
-# and tunnels.py). A packet whose kind is in doubt counts as hidden. Only plain packets may be read
-# as arrays. The Decoder is fed all packets but those of the kind "other".
+# The rules are those by which the Decoder reads single packets (link_layer.py, segment.py and
+# tunnels.py in packets/). A packet whose kind is in doubt counts as hidden. Only plain packets may
+# be read as arrays. The Decoder is fed all packets except those of the kind "other".
 
 from __future__ import annotations
 

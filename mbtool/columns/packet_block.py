@@ -2,10 +2,10 @@
 
 # A block holds at most BLOCK_PACKETS packets and about BLOCK_BYTES bytes of the file, so memory
 # does not grow with the file. In a pcap file, each record tells where the next one begins: one loop
-# in Python collects these offsets, then numpy reads all record headers at once. Enhanced packet
-# blocks of a pcapng file are read in the same way. All else in it (interfaces, packet blocks of
-# other kinds, what is damaged) is read one by one by packets/pcapng.py, and so are the SLOWLY
-# blocks from there on, lest a file with many of them become many small PacketBlocks.
+# in Python collects these offsets, then numpy reads all record headers at once. The enhanced packet
+# blocks of a pcapng file are read in the same way. packets/pcapng.py reads the first SLOWLY blocks
+# of a pcapng file one by one, and as many from every other part on (an interface, another kind of
+# packet block, damage). Otherwise a file with many such parts would become many small PacketBlocks.
 #
 # Errors are raised as in packets/: after all packets before the damage.
 
@@ -56,8 +56,8 @@ at the start of each packet without a check of the packet's length; whoever read
 bytes behind the packet's end."""
 
 SLOWLY = 1024
-"""The number of blocks of a pcapng file that are read one by one after its begin, and from a block
-on that has no enhanced packet."""
+"""So many blocks are read one by one at the beginning of a pcapng file, and from each block on that
+is no enhanced packet block, or is damaged."""
 
 _MAGIC = 4
 _BLOCK_HEAD = 8
@@ -462,7 +462,7 @@ def _times(interface: PcapngInterface, ticks: Int64s) -> Int64s:
     if is_simple:
         found: Int64s = ticks * interface.multiplier // interface.divisor + interface.offset_ns
         return found
-    # High ticks have wrapped to negative numbers.
+    # In the array, ticks of 2^63 and more have become negative numbers.
     return np.array([interface.time_ns(one & _MASK_64) for one in ticks.tolist()], np.int64)
 
 

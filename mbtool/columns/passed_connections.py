@@ -91,7 +91,7 @@ def take_whole_connections(
     whole = whole.only(is_new)
     ends = [flows.ends[flow] for flow in whole.flow.tolist()]
     is_lower = segments.from_lower[whole.opening].tolist()
-    first = decoder.reassembler.number_next(len(whole))
+    first = decoder.reassembler.reserve_numbers(len(whole))
     connections = [
         _connection(each, is_lower=lower, number=number)
         for number, (each, lower) in enumerate(zip(ends, is_lower, strict=True), first)

@@ -1,12 +1,12 @@
 """Formats the transactions of each block of packets as lines of JSON or CSV."""
 
-# The caller gives a function that formats one transaction as a line. It is slow, so it is called
-# seldom. Transactions with usual reads and writes (usual_rows.py) are grouped; in a group they
-# differ only in time, ends, transaction id, values, raw bytes and packet numbers. The function
-# formats one transaction of each group with a random mark in each of these fields. The result is a
-# template: the line of each transaction is the template with the transaction's own texts in place
-# of the marks, and so equals the line that the function would have made. The function formats each
-# transaction of a group that has few, as a template would cost more.
+# The caller gives a function that formats one transaction as a line. It is slow, so it is called as
+# rarely as possible. Transactions with usual reads and writes (usual_rows.py) are grouped; in a
+# group they differ only in time, ends, transaction id, values, raw bytes and packet numbers. The
+# function formats one transaction of each group with a random mark in each of these fields. The
+# result is a template: the line of each transaction is the template with the transaction's own
+# texts in place of the marks. So it equals the line that the function would have made. In a group
+# of few transactions, the function formats each of them, because a template would cost more.
 #
 # Memory: about MAX_LINES templates are kept. If there are more, all are forgotten and made again
 # when needed.

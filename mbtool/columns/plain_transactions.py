@@ -1,11 +1,11 @@
 """Makes transaction objects from rows of the arrays, equal to those that the Decoder would make."""
 
-# A row is a transaction. The usual reads and writes (usual_rows.py) of one kind are equal but for
-# times, ids, values, bytes and packets: they have the same link, ends without the master's port,
-# MAC addresses, unit, function, address, quantity and exception code. The first one of a kind is
-# named; it is the model of all others, which are copies of it with their own times, ids, values,
-# bytes and packets. If the names depend on values, each is named. A new kind that differs from a
-# known one in address and quantity only is a copy, too.
+# A row is a transaction. The usual reads and writes (usual_rows.py) of one kind have the same link,
+# slave, master address (without port), MAC addresses, unit, function, address, quantity and
+# exception code. They differ only in times, ids, values, bytes and packets. The first one of a kind
+# is named and becomes the model: the others are copies of it with their own times, ids, values,
+# bytes and packets. If the names depend on values, each transaction is named. If a new kind differs
+# from a known one only in address and quantity, its model is a copy, too.
 #
 # Memory: MAX_KINDS models; if there are more, all are forgotten and made again when needed. The
 # values of at most AT_ONCE rows of a block.
@@ -71,7 +71,7 @@ class RowObjects:
         self._objects = objects
         self._rows = rows
         self._usual = usual
-        self._is_usual = usual.is_usual.copy()  # A caller may leave out more in its own.
+        self._is_usual = usual.is_usual.copy()  # A caller may change its own array.
         self._octets = rows.data.data
         self._window = -1
         """The number of the AT_ONCE rows in `_parts`, as those before are needed no more."""

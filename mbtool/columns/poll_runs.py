@@ -4,9 +4,9 @@ without making an object of each.
 
 # Only the usual reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
 # they have the same link, master address (without port), slave and MAC addresses, and if their PDUs
-# have the same unit, function, address, quantity and exception code. Only the first transaction of
-# those that differ in address only is made an object with names, as the Decoder makes it. Copies of
-# it with other addresses stand for all of their kinds.
+# have the same unit, function, address, quantity and exception code. Among the kinds that differ
+# only in address, only the first transaction is made an object with names, as the Decoder makes it.
+# Copies of this object with other addresses stand for the other kinds.
 #
 # Memory: about MAX_KINDS such objects are kept between blocks. If there are more, all are forgotten
 # and made again when needed.

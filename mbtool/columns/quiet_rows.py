@@ -89,7 +89,7 @@ class QuietParts:
         Consecutive reads and writes without findings come together as one BlockRows, if they are at
         least FEWEST.
         """
-        # Slaves with a profile may have rules about connections, which take each event.
+        # A slave with a profile may have rules about connections, which need every event.
         passed = None if any(self._objects.namer.assignments) else decoded.passed
         records = decoded.sorted_records(with_passed=passed is None)
         self._sunspec.note(records)
@@ -264,14 +264,37 @@ class _QuietBlock:
         return found
 
     def reads(self, begin: int, end: int) -> list[AnsweredReads]:
-        groups = sorted(_alike(self._poll, begin, end), key=lambda places: int(places[0]))
-        return [self._answered_reads(places) for places in groups]
+        rows, usual, groups = self._rows, self._usual, Groups(self._poll[begin:end])
+        by_first = np.argsort(groups.first)
+        order = groups.order + begin
+        first = order[groups.starts[by_first]]
+        times = rows.request_ns[order].tolist()
+        links = [rows.connections[one].link for one in rows.connection[first].tolist()]
+        fields = (rows.unit, rows.code, usual.address, usual.quantity)
+        return [
+            AnsweredReads(
+                link,
+                unit,
+                code,
+                address,
+                quantity,
+                times[at:until],
+                BlockValues(rows, usual, order[at:until]),
+            )
+            for link, unit, code, address, quantity, at, until in zip(
+                links,
+                *(each[first].tolist() for each in fields),
+                groups.starts[by_first].tolist(),
+                groups.ends[by_first].tolist(),
+                strict=True,
+            )
+        ]
 
     def slow(self, begin: int, end: int, least_ns: int, most: int) -> Iterator[SlowRead]:
         rows = self._rows
         latency = rows.response_ns[begin:end] - rows.request_ns[begin:end]
         places = np.flatnonzero(latency >= least_ns)
-        # Of equal latencies the first ones count as the longest.
+        # Among equal latencies, the earlier ones count as longer.
         order = places[np.lexsort((places, -latency[places]))]
         groups = _alike(self._unit[begin:end][order], 0, len(order)) if len(order) else []
         longest = [order[np.sort(group)[:most]] for group in groups]
@@ -288,18 +311,6 @@ class _QuietBlock:
     @cached_property
     def _kinds(self) -> KindsOfRows:
         return self._runs.kinds_of(self._rows, self._usual)
-
-    def _answered_reads(self, places: Int64s) -> AnsweredReads:
-        rows, usual, first = self._rows, self._usual, int(places[0])
-        return AnsweredReads(
-            rows.connections[rows.connection[first]].link,
-            int(rows.unit[first]),
-            int(rows.code[first]),
-            int(usual.address[first]),
-            int(usual.quantity[first]),
-            rows.request_ns[places].tolist(),
-            BlockValues(rows, usual, places),
-        )
 
     def _without_findings(self, is_answered: Bools) -> Bools:
         """Return for each answered row True if it gives no finding. Without a profile, that depends
@@ -354,7 +365,7 @@ class _QuietBlock:
             [times[start:stop] for start, stop in bounds],
             strict=True,
         )
-        polls = [*map(QuietPoll._make, fields)]  # Faster than to call QuietPoll.
+        polls = [*map(QuietPoll._make, fields)]  # Faster than calling QuietPoll.
         number = np.empty(len(first), np.int64)
         number[by_last] = np.arange(len(first))
         return polls, number[groups.number]

@@ -1,9 +1,9 @@
 """Joins consecutive usual reads and writes that were read as arrays, for the table of `decode`."""
 
-# A row of the arrays is one transaction. Of the usual reads and writes (usual_rows.py) of a block
-# that have the same unit, function, address, quantity and exception code, only the first is made an
-# object with names. The caller makes a "form" from this example, such as the text that the table
-# rows of all these transactions share.
+# A row of the arrays is one transaction. If several usual reads and writes (usual_rows.py) of a
+# block have the same unit, function, address, quantity and exception code, only the first is made
+# an object with names: the example. The caller makes a "form" from the example, such as the text
+# that the table rows of all these transactions share.
 #
 # Memory: lists with the times, ids and packet numbers of one portion of a block (portions.py), and
 # with the values of MOST rows.

@@ -158,7 +158,8 @@ class Quiet:
     link: str
 
 
-# Events of a link: all that is reported beside transactions, such as a gap or skipped bytes.
+# The code below defines the events of a link: everything that is reported besides transactions,
+# such as a gap or skipped bytes.
 
 
 class EventKind(StrEnum):

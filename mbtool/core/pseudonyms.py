@@ -1,4 +1,4 @@
-"""Replaces addresses, names and texts by others: with the same key always by the same."""
+"""Replaces addresses, names and texts by pseudonyms; one key always gives the same ones."""
 
 # A pseudonym is made from the original by a keyed hash (BLAKE2b), so without the key nobody can
 # tell which original it stands for, except by trying all keys.
@@ -9,10 +9,10 @@
 #                   many hosts (224.0.0.0 and above, ff00::/8) and 0.0.0.0 stay. So that no other
 #                   address becomes one of these, a bit among the first three stays if only ones
 #                   come before it, and of IPv6 the first byte stays.
-#     MAC address   hashed as a whole; it is marked as locally administered. Broadcast and zeros
-#                   stay, and an address for many remains one for many.
-#     text          each letter becomes another letter, each digit another digit; all else stays, so
-#                   the text has the same length and form.
+#     MAC address   hashed as a whole, and marked as locally administered. The broadcast address and
+#                   zeros stay, and a multicast address becomes another multicast address.
+#     text          each letter becomes another letter, each digit another digit; other characters
+#                   stay, so the text has the same length and form.
 #     name          its kind and a number, in the order of first use: line1, net2
 #     unit          another unit, 1 to 247; 0 and those above 247 stay
 #     time          all times are earlier by the same number of days, 1 to 3650, so that hours and

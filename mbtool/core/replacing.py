@@ -2,9 +2,10 @@
 
 # The new content is written to a second file in the same folder, which is synced to the disk and
 # renamed to the old file's name. Then the folder is synced, so when the replacement returns, the
-# new file survives a power cut. If the process is killed before, the second file stays under its
-# own name: .NAME.PID.part, until a process with the same id (in a container always 1) replaces the
-# same file, or .NAME.new for a file that one program writes again and again.
+# new file survives a power cut. If the process is killed before the renaming, the second file
+# stays. Its name is .NAME.PID.part; the next process with the same id (in a container always 1)
+# that replaces the same file overwrites it. If one program writes a file again and again, its name
+# is .NAME.new.
 
 from __future__ import annotations
 

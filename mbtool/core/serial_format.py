@@ -20,7 +20,8 @@ from typing import Self
 
 from mbtool.core.errors import UsageError
 
-# The length of a silence on a line, in bit times, character times, ms or us (28bits, 5ms).
+# The code below defines the length of a silence on a line, in bit times, character times, ms or us
+# (28bits, 5ms).
 #
 # The duration of a bit or a character depends on the line's baud rate and character format. So a
 # silence keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200
@@ -59,7 +60,7 @@ class Silence:
                 "for example 28bits or 5ms"
             )
         made = cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
-        # The length of bits and characters is checked when the baud rate is known.
+        # The real length is checked when the baud rate is known.
         if not 0 < made.ns(baud=1_000_000, character_bits=1) <= MAX_NS:
             raise UsageError(f"silence {text!r}: it must be longer than 0 and at most 1 s")
         return made
@@ -83,7 +84,7 @@ class Silence:
         return f"{amount}{self.unit}"
 
 
-# The states that DTR and RTS of a port get when the port is opened to listen.
+# The code below defines the states of DTR and RTS of a port that is opened to listen.
 #
 # When a port is opened, the kernel raises DTR and RTS, and when it is closed, drops both; no
 # program can prevent the raising. Some RS-485 adapters send, or are powered, while one of them is

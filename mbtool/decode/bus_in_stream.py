@@ -3,9 +3,9 @@
 Some serial servers and port redirectors send all that they hear on a line to whoever connects.
 """
 
-# A splitter of one direction skips the frames of the other one. If the skipped bytes are whole
-# frames of the other direction, with correct CRCs, and one of them and a frame beside it are a
-# request and its response by form, the direction carries a whole line: two CRCs, unit, function and
+# The splitter of one direction skips the frames of the other direction. This direction carries a
+# whole line if the skipped bytes are whole frames of the other direction with correct CRCs, and if
+# one of them and the frame next to it are a request and its response. Two CRCs, unit, function and
 # length agree by chance less than once in 2^40 times.
 
 from __future__ import annotations

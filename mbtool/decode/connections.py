@@ -374,7 +374,7 @@ class ConnectionDecoder:
         lost = {direction: progress.end() for direction, progress in self._progress.items()}
         losses = [_LostBytes(one, size, None) for one, size in lost.items() if size > _FIN]
         decoded += self._lost(losses, self._last_ns)
-        if lost[Direction.RESPONSE] > _FIN:  # A FIN may be among these: their number is unsure.
+        if lost[Direction.RESPONSE] > _FIN:  # One byte may be a FIN, so the number is unsure.
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 
@@ -383,8 +383,8 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Give the ADUs of one direction to the pairing; return ADUs, transactions and events.
 
-        Before each ADU the pairing is told the number of bytes that the capture lacks there, as the
-        stream positions and acknowledgements show. `ts_ns` is the time of the segment, or of the
+        Before each ADU, the pairing gets the number of bytes that the capture lacks there, by the
+        stream positions and acknowledgements. `ts_ns` is the time of the segment, or of the
         gap, that completed `events`.
         """
         other, progress = OTHER[direction], self._progress[direction]
@@ -393,8 +393,9 @@ class ConnectionDecoder:
         end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
-            # A request that is incomplete so far may acknowledge lost responses. These are reported
-            # once the request is complete, as requests lost before it have to be reported first.
+            # A segment with the beginning of a request may acknowledge lost responses. They are
+            # reported only when the request is complete, because requests lost before it must be
+            # reported first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part

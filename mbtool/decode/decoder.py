@@ -10,8 +10,8 @@
 # With `any_port` every TCP connection is followed. One that turns out not to be Modbus produces no
 # opening, closing or segment events, and one FOREIGN event for each slave endpoint (for both
 # endpoints if the roles are unknown), up to MAX_FOREIGN_REPORTED endpoints. Its further bytes are
-# not reassembled, so that other protocols cost little. Ports that the user
-# named, and 502, are expected to carry Modbus even then.
+# not reassembled, so that other protocols cost little. Modbus is expected at 502 and at the ports
+# that the user named, with `any_port` too.
 #
 # A connection that two interfaces captured is decoded twice, unless `across` treats them as one.
 
@@ -363,7 +363,7 @@ class Decoder:
             records = self._close_all()
         else:
             records = self.end_line(event.link) if event.kind in _LOSS else []
-        self._last_ns = max(self._last_ns, event.ts_ns)  # Last, as the lost bytes are earlier.
+        self._last_ns = max(self._last_ns, event.ts_ns)  # The lost bytes are earlier.
         return [*records, event]
 
     def _bus(self, chunk: Chunk) -> Bus | TapPair | FramedLine:

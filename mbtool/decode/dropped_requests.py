@@ -5,7 +5,7 @@
 # belongs to that request.
 #
 # Memory: MAX_DROPPED pairs of transaction id and unit; beyond that, the oldest pair is forgotten.
-# All are forgotten when FORGET_NS have passed since a request was dropped.
+# All pairs are forgotten when FORGET_NS have passed since a request was dropped.
 
 from __future__ import annotations
 

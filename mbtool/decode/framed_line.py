@@ -1,10 +1,11 @@
-"""Decodes a serial line of which a program's log tells the whole frames and who sent them."""
+"""Decodes a serial line from a program's log that has whole frames and names their senders."""
 
-# Each chunk is one frame with a known direction, so nothing is searched: it becomes an ADU and goes
-# to the pairing. The time of a frame is the time at which the program noted it, first byte and last
-# byte alike. A log without times gives the order of the frames only.
+# Each chunk is one frame with a known direction, so no search is needed: it becomes an ADU and goes
+# to the pairing. The time of a frame, for its first and last byte alike, is the time at which the
+# program noted it. If the log has no times, only the order of the frames is known.
 #
-# A chunk that is no frame becomes a skipped event, one with a wrong CRC an event of that kind.
+# A chunk that is no frame, or a frame with a wrong CRC or LRC, becomes a skipped event.
+#
 # Memory: that of the pairing.
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ def give_up_late(
                 since_ns = max(since_ns, habits.last_response_ns)
                 if place and one.number in reading.behind_others:
                     if late or one.is_pipelined:
-                        break  # The requests behind the first late one only wait for it.
+                        break  # It only waits for an earlier request.
                     since_ns = max(since_ns, reading.gave_up_ns)
             if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                 late.append(one)
@@ -54,7 +54,7 @@ def give_up_repeated(readings: Sequence[PairReading], habits: MasterHabits, requ
     """
     for reading in readings:
         newest_first = (one for one in reversed(reading.waiting) if reading.awaits(one))
-        awaited = [*islice(newest_first, 2)]  # Many may wait; a second one decides.
+        awaited = [*islice(newest_first, 2)]  # A second one decides; there may be many.
         if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
             continue
         (one,) = awaited

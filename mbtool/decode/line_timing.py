@@ -8,8 +8,9 @@
 #     4  the standard, from baud rate and character format
 #
 # A profile counts for a line if it was assigned without a host address and supports the line's mode
-# (RTU or ASCII). Of several profiles the shortest t3.5 is taken, as the device with this t3.5 may
-# pause only that long between frames; and the longest t1.5 that does not exceed this t3.5.
+# (RTU or ASCII). If several profiles count, the shortest t3.5 is taken, because the device with
+# this t3.5 may pause only that long between frames. The t1.5 is then the longest one that does not
+# exceed this t3.5.
 
 from __future__ import annotations
 

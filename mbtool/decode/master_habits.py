@@ -145,8 +145,8 @@ class MasterHabits:
             self._note_id(transaction_id)
 
     def _note_id(self, transaction_id: int) -> None:
-        # A retry may have the id of its first request. So an equal id does not show that ids are
-        # constant, and is ignored.
+        # A retry may have the same transaction id as its first request. So an equal id does not
+        # show that the master always sends the same one.
         if self._last_id is not None and transaction_id != self._last_id:
             counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
             self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)

@@ -7,38 +7,43 @@
 #     acknowledgements   A response is sent after its request was received: its segment acknowledges
 #                        the request. A request that acknowledges the response was sent after it.
 #     order              Requests with the same id are answered in order.
-#     number             Each response has a request. Bytes of responses that the capture lacks are
-#                        the responses of some requests, and bytes of requests that it lacks are
-#                        requests whose responses will come.
-#     form               the number of values, and what the response repeats of its request
-#     the master         When the master sends its next request, it has given the pending request up
-#     and time           if that waited longer than the slowest response so far took; LATE times as
-#                        long, unless the master is known never to pipeline. The slave answers a
-#                        given-up request as rarely as it leaves another one without a response.
+#     number             Each response has a request. If the capture lacks bytes of responses, these
+#                        answered some of the requests. If it lacks bytes of requests, the responses
+#                        to these will come.
+#     form               The response has the number of values that its request asks for, and
+#                        repeats the same fields (address, value).
+#     time               When the master sends its next request, it has given up a request that has
+#                        waited longer than the slowest response so far took. If the master may
+#                        pipeline, the wait must be LATE times as long. A slave rarely answers a
+#                        request that was given up, and as rarely leaves another one unanswered.
 #
-# A response is late if it comes after the next request of a master that never pipelines. That
-# request must repeat the first, or have come when the master's usual time-out was over.
+# A response is late if the master never pipelines and has sent its next request before the response
+# comes. That request must repeat the first, or must have been sent when the master's usual time-out
+# was over.
 #
-# pairing_readings.py weighs them. A transaction is returned as soon as no other request is a likely
-# one for its response. Where two readings (ways to give responses to requests) cost about the same,
-# the responses are held back until an ADU or a silence of the connection decides, at most MAX_HELD
-# responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
+# pairing_readings.py weighs this evidence. A reading is one way to assign responses to requests. A
+# transaction is returned as soon as its response can hardly belong to another request. If two
+# readings cost about the same, the responses are held back until another ADU or a silence of the
+# connection decides: at most MAX_HELD responses, and for at most HOLD_NS. After that the cheapest
+# reading is taken, and its transactions are ambiguous.
 #
-# A slave may respond with another id than the request's. Its response then belongs to the only
-# pending request if it fits, if no earlier request can still wait for its response (the capture
-# lacks no bytes), and if either this slave never repeated an id correctly, or acknowledgements show
-# that nothing came between the request and the response. It may also repeat the id and respond with
-# another unit, as a module that ignores the unit does (asked as FFH, it calls itself 1): then it
-# belongs to the only pending request with the id, which no missing bytes and no other ADU separate
-# from it. Where the capture begins within the connection, that holds once ids are known to vary.
+# A slave may respond with another transaction id than the request's. Its response then belongs to
+# the only pending request if three conditions are met: the response fits the request; no earlier
+# request can still wait for its response, and the capture lacks no bytes; and this slave never
+# repeated an id correctly, or acknowledgements show that nothing came between the two. A slave may
+# also repeat the id and respond with another unit, as a module that ignores the unit does (it is
+# asked as unit FFH, and calls itself 1). Then the response belongs to the only pending request with
+# this id if no missing bytes and no other ADU lie between. If the capture begins within the
+# connection, ids must have varied before.
 #
-# A response without a request is unsolicited. If the capture lacked requests of this connection in
-# the TIMEOUT_NS before it, its request may be among these, and is only not captured. So it is if
-# the capture begins within the connection, for TIMEOUT_NS or until the first request.
+# A response without a request is unsolicited. But its outcome is not-captured if the capture lacked
+# bytes of requests in the TIMEOUT_NS before it, because its request may be among them. If the
+# capture begins within the connection, the outcome is not-captured until the first request, and for
+# TIMEOUT_NS after the first ADU.
 #
 # Memory: at most MAX_OPEN_REQUESTS waiting requests, and as many counts of unanswered requests. A
-# request beyond that is dropped with the verdict over-limit, and so is its response. If the master
-# had given the dropped request up, its transaction has no answer instead.
+# request beyond that is dropped, and it and its response get the verdict over-limit. If the master
+# had given the dropped request up, the outcome of its transaction is no-answer.
 
 from __future__ import annotations
 
@@ -105,9 +110,10 @@ MAX_LOST_REQUESTS = 32
 MANY_LOSSES = 2
 NEAR_REQUESTS = 32
 """Losses whose number of requests or responses is not known make the later pairs doubtful if the
-capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. A single such loss is told
-well enough by its length: in simulated plants no pair is wrong if every twentieth packet is lost.
-If every fifth is, 0.05 % of the pairs told as sure are wrong (0.3 % with MANY_LOSSES = 3)."""
+capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. For a single such loss, its
+length is enough evidence: in simulated plants, no pair is wrong if every twentieth packet is lost.
+If every fifth is lost, 0.05 % of the pairs that are not doubtful are wrong (0.3 % with
+MANY_LOSSES = 3)."""
 ONE_REQUEST = 16
 """Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
 RECENT_WAITS = 16
@@ -213,7 +219,7 @@ class NetworkPairing:
             waiting = self._readings[0].waiting
             if not (self._habits.pipelines or any(one.is_pipelined for one in waiting)):
                 give_up_late(self._readings, self._habits, at_ns, self._habits.late_ns)
-                if end is None:  # The responses to these may be lost as well.
+                if end is None:  # Their responses may be lost as well.
                     for reading in self._readings:
                         reading.pass_all(self._habits)
             place = None if end is None else AduPlace(end, None)
@@ -429,7 +435,7 @@ class NetworkPairing:
         is_same_id = one.transaction_id == response.transaction_id
         if not one.can_get(response, place, with_other_unit=is_same_id):
             return None
-        if is_same_id:  # So the unit is another one.
+        if is_same_id:  # Then the units differ.
             is_next = place is None or one.is_next_to(response, place)
             is_sure = is_next and reading.awaits(one) and not one.may_be_lost
             return one if is_sure and one.fits(response) else None
@@ -520,7 +526,7 @@ class NetworkPairing:
         for step in steps:
             if step.response is not None:
                 done.append(self._responded(step.response, step))
-                self._excuse_others(step.response, step)
+                self._mark_others_answerable(step.response, step)
                 continue
             for one in step.requests:
                 if one.adu is not None:
@@ -528,7 +534,7 @@ class NetworkPairing:
         while len(reading.passed) > MAX_PASSED:
             self._close(reading.passed.pop(0), done)
 
-    def _excuse_others(self, response: Adu, step: PairStep) -> None:
+    def _mark_others_answerable(self, response: Adu, step: PairStep) -> None:
         """Note that open requests may have got `response`, if that is not known for a loss."""
         is_lost = bool(step.requests) and step.requests[0].adu is None
         is_doubtful = not step.is_sure or self._is_doubtful
@@ -582,7 +588,7 @@ class NetworkPairing:
         if one.adu.unit != response.unit:
             verdicts += (Verdict.OTHER_UNIT,)
         if self._doubt is not None:
-            self._doubt.note_pair(response, place, one, self._most_waiting)
+            self._doubt.exclude_shifts(response, place, one, self._most_waiting)
             is_sure = is_sure and not self._is_doubtful
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)

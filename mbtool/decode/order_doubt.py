@@ -1,13 +1,15 @@
 """Finds out when form and acknowledgements prove again which request each response answers."""
 
-# After a loss of an unknown number of requests or responses, all later responses may belong to the
-# request that was sent `shift` places before or behind the one that they are paired with. A slave
-# answers the requests of one transaction id in order, so the shift is the same for all responses
-# with this id whose requests follow one another, until the next loss. A shift is excluded by a
-# single response that cannot belong to the request at that place, because of its unit, function or
-# form, or because of acknowledgements. The order is proved once every possible shift is excluded: a
-# master has at most as many requests with one id open as it had at most so far. So the shift is
-# less than that number; after a choice it may be equal, as a response may have come late.
+# After a loss of an unknown number of requests or responses, all later responses may be paired with
+# the wrong request: each belongs to the request sent `shift` places before or after that one. A
+# slave answers the requests of one transaction id in order. So until the next loss the shift is the
+# same for all responses with this id whose requests follow one another.
+#
+# A shift is excluded by a single response that cannot belong to the request at that place, because
+# of its unit, function or form, or because of acknowledgements. The order is proved once every
+# possible shift is excluded. The possible shifts are few: they are smaller than the highest number
+# of requests with one id that were open at once so far. After a choice between two readings
+# (network_pairing.py) a shift may also equal this number, as a response may have come late.
 #
 # Memory: MAX_IDS transaction ids, each with its last 2 * MAX_SHIFT requests since the loss.
 
@@ -60,7 +62,7 @@ class OrderDoubt:
             self._is_whole &= len(queue.requests) < 2 * MAX_SHIFT
             queue.requests.append(request)
 
-    def note_pair(
+    def exclude_shifts(
         self, response: Adu, place: AduPlace | None, request: OpenRequest, most_waiting: int
     ) -> None:
         """Exclude the shifts that are impossible for a response paired with `request`.
@@ -70,7 +72,7 @@ class OrderDoubt:
         queue = self._queues.get(request.transaction_id)
         if queue is not None:
             shifts = self._shifts(most_waiting)
-            queue.note_pair(response, place, request, shifts, is_whole=self._is_whole)
+            queue.exclude_shifts(response, place, request, shifts, is_whole=self._is_whole)
 
     def is_settled(self, most_waiting: int) -> bool:
         """True if no other order is possible for a master with so many requests open at most."""
@@ -94,7 +96,7 @@ class _Queue:
         self._answered: OpenRequest | None = None
         """The request that was answered last; None if there is none yet."""
 
-    def note_pair(
+    def exclude_shifts(
         self,
         response: Adu,
         place: AduPlace | None,
@@ -108,10 +110,10 @@ class _Queue:
         at = self.requests.index(request)
         last = self._answered
         if last is not None and last in self.requests and at < self.requests.index(last):
-            self.excluded.clear()  # Slaves answer in order, so a pair before this one is wrong.
+            self.excluded.clear()  # Slaves answer in order, so an earlier pair is wrong.
             return
         if not at or self.requests[at - 1] is not self._answered:
-            self.excluded.clear()  # A request was passed over, so the shift may be another one.
+            self.excluded.clear()  # A request got no response, so the shift may change.
         for shift in shifts:
             other = at + shift
             if 0 <= other < len(self.requests):

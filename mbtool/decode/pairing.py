@@ -5,23 +5,23 @@
 #
 #     form      The response fits the request: the number of values, what it repeats of the request.
 #               A response that fits no open request goes to the pending one, as malformed.
-#     pending   The pending request comes first, then the oldest one: a slave answers in order.
+#     order     The pending request is tried first, then the oldest open one, since a slave answers
+#               in order.
 #     time      The unit never answers in less than half of its shortest time so far.
-#     the next  If a response fits the pending request and one before, it is held back. If a
-#               response of the unit then comes without a request to it, each held response belongs
-#               to the request before.
+#     the next  If a response fits the pending request and an earlier one, it is held back. If the
+#               next response of the unit has no request of its own, each held response belongs to
+#               the request before the one that it was held for.
 #
-# A response to an earlier request is late if its master had given the request up, so that it sent
-# the next one. If the master certainly still waited, and only one request was sent since, a second
-# master has overtaken the first, and the response is in time. If the times do not tell which of the
-# two is true, the response is late, and ambiguous, until the line has shown ENOUGH_OVERTAKEN such
-# responses among the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are
-# then the time-out of one master, and different ones show two masters. (network_pairing.py pairs
-# the requests and responses of a TCP connection.)
+# A response to an earlier request is late if its master had given this request up before it sent
+# the next one. If the master certainly still waited, and only one request was sent since, the
+# response is in time: a second master has sent that request. If the times do not tell which of the
+# two is true, the response counts as late and ambiguous, until the line has shown ENOUGH_OVERTAKEN
+# such responses among the last RECENT_REQUESTS requests. From then on, equal waits (EQUAL) before
+# the next request are the time-out of one master, and different waits show two masters.
 #
-# Bytes that belong to no frame, behind a request, are its damaged response: the request then has no
-# answer. Right behind such bytes, a response may be to a request that was damaged, and goes to no
-# earlier request.
+# If bytes that belong to no frame follow a request, they are its damaged response, and the request
+# has no answer. A response that follows such bytes directly may answer a damaged request, so it is
+# paired with no earlier request.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer. The transactions of one unit come in the order
@@ -194,7 +194,8 @@ class Pairing:
         requests get the outcome `no-answer`.
         """
         done = [each for unit in [*self._held] for each in self._release(unit)]
-        # Without times, a request that another one followed is not known to be recent.
+        # If the capture has no times, a request that was followed by another is not known to be
+        # recent.
         timed = self._ends.timed
         earlier = self._earlier.take_all()
         requests = [(one.adu, timed or self._is_overtaken(one)) for one in earlier]
@@ -214,6 +215,8 @@ class Pairing:
         self._last_answer = b""
         done: list[Transaction] = []
         pending, self._pending = self._pending, None
+        if self._held and not self._hears_waits():
+            done += [each for unit in [*self._held] for each in self._release(unit)]
         if pending is not None:
             waited_ns = request.start_ns - pending.end_ns
             waits = self._still_waits(waited_ns)
@@ -259,7 +262,7 @@ class Pairing:
             done += self._answer_earlier(earlier[0], response)
         elif self._earlier.is_too_early(response.unit, response.start_ns - pending.end_ns):
             done += self._answer_earlier(earlier[0], response)
-            # The master takes the late response for that to the pending request.
+            # The master takes the late response for the response to the pending request.
             self._earlier.put_back(pending)
             self._pending = None
         elif self._may_be_late(earlier[0], response):
@@ -291,19 +294,24 @@ class Pairing:
         self._earlier.note_heard(response.unit)
         if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
-        # Without silences that tell a retry, it may be a repeater's copy of the response before, or
-        # the response to a retry.
+        # If the line shows no silences that tell a retry, this response may be a repeater's copy of
+        # the previous one, or the response to a retry.
         is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
-        # Where only slaves are heard, it is the response to the next request.
+        # If only slaves are heard, an equal response is the response to the next request.
         is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
+        if not self._hears_waits():
+            return True
         taken_ns = response.start_ns - earlier.adu.end_ns
-        can_be_late = self._ends.timed and earlier.waits is not True
-        return can_be_late and self._earlier.can_take(response.unit, taken_ns)
+        return earlier.waits is not True and self._earlier.can_take(response.unit, taken_ns)
+
+    def _hears_waits(self) -> bool:
+        """True if the times tell how long a slave took and how long the master waited."""
+        return self._ends.timed and self._still_waits(0) is not None
 
     def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:
         self._pending = None
@@ -328,8 +336,8 @@ class Pairing:
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
         """Hold the pending request's response back, as it may belong to an `earlier` request.
 
-        Returns the transactions of the requests before `earlier`. The held responses own `earlier`,
-        so that it is told once.
+        Returns the transactions of the requests before `earlier`. From now on `earlier` belongs to
+        the held responses, so it is returned only once.
         """
         self._pending = None
         done = self._unanswered_of(self._earlier.take(earlier))
@@ -358,8 +366,15 @@ class Pairing:
         """
         unit = response.unit
         held = self._held[unit]
-        is_answer = response.start_ns - held.responses[-1].end_ns >= held.apart_ns
-        if pending is not None or not (is_answer and fits(held.requests[-1], response)):
+        is_answer = pending is None and fits(held.requests[-1], response)
+        is_answer &= not self._is_damaged  # The damaged bytes may have been its request.
+        if is_answer and self._hears_waits():
+            is_answer = response.start_ns - held.responses[-1].end_ns >= held.apart_ns
+        elif is_answer and response.raw == held.responses[-1].raw:
+            # It may be a repeater's copy, too. Which of two equal requests got it is no question.
+            is_retry = held.requests[0].raw == held.requests[1].raw
+            return self._release(unit, 1.0 if is_retry else EVEN)
+        if not is_answer:
             return self._release(unit)
         del self._held[unit]
         done = self._unanswered_of(self._earlier.take_all_of(unit))
@@ -368,15 +383,17 @@ class Pairing:
             done.append(self._answered(request, one, is_late=True))
         return done
 
-    def _release(self, unit: int) -> list[Transaction]:
+    def _release(self, unit: int, confidence: float = 1.0) -> list[Transaction]:
         """Return the transactions of a unit's held responses, each with its own request, and those
         of the requests before them.
+
+        `confidence` (0 to 1) tells how surely each response is to its own request.
         """
         held = self._held.pop(unit)
         done = [self._unanswered_request(held.requests[0])]
         done += self._unanswered_of(self._earlier.take_all_of(unit))
         for request, response in zip(held.requests[1:], held.responses, strict=True):
-            done.append(self._answered(request, response))
+            done.append(self._answered(request, response, confidence=confidence))
         return done
 
     def _answered(

@@ -1,17 +1,18 @@
 """Weighs the ways in which a connection's responses can belong to its requests."""
 
-# A reading is one such way. It assigns each response to a request, and lost response bytes to the
-# requests that they answered. A response can answer a request with its id, unit and function;
-# acknowledgements rule out requests that the slave had not received, and requests that were sent
-# after the response had been received. Among requests with the same id a slave answers the first
-# one first.
+# A reading is one way to assign each response to a request, and lost response bytes to the requests
+# that they answered. A response can answer a request with its id, unit and function.
+# Acknowledgements rule out requests that the slave had not received, and requests that were sent
+# after the response had been received. Among requests with the same id, a slave answers the oldest
+# first.
 #
-# Costs are in units of one request that the slave leaves unanswered or answers after its master has
+# The unit of costs is one request that the slave leaves unanswered, or answers after its master has
 # given it up: both are rare, and about equally so.
 #
-# If the capture begins within the connection, its first responses may answer requests before the
-# capture, of which nothing is known. A reading has room for at most MAX_BEFORE of these. They come
-# before all captured requests, so the first response to a captured request ends them.
+# If the capture begins within the connection, its first responses may answer requests sent before
+# the capture. A reading has room for at most MAX_BEFORE of these unknown requests. They come before
+# all captured requests, so after the first response to a captured request there can be no more of
+# them.
 #
 # Readings that cost MARGIN more than the cheapest one are dropped. If two readings leave the same
 # requests waiting, no later ADU can tell them apart: the cheaper one is kept, and the pairs that
@@ -345,7 +346,7 @@ def options(
                 return
         skipped.append(one)
     if best + MARGIN < OUT_OF_ORDER:
-        return  # The requests in `passed` cost more.
+        return  # A request in `passed` would cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
             cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
@@ -430,7 +431,7 @@ def _captured_has_id(
     capture.
     """
     if not (habits.ids_count_up or habits.ids_vary):
-        return False  # Any lost request can have had the one id.
+        return False  # The master sends one id, so any lost request has it.
     return any(
         each.adu is not None
         and each.adu.transaction_id == response.transaction_id

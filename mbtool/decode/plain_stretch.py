@@ -7,9 +7,9 @@
 # whatever was learned about the master. So the array decoder (columns/) can decode it. Afterwards
 # the Decoder is told what it would have learned from the stretch: ids, latencies and positions.
 #
-# Requests that got no response, and whose master asks on, may still get a late one, or a retry.
-# PlainLimits tells which transactions of a stretch they could matter to: those are left to the
-# Decoder.
+# A request that got no response may still get a late one, or a retry, after its master has sent
+# further requests. PlainLimits tells which transactions of a stretch such requests could matter to:
+# the array decoder leaves these transactions to the Decoder.
 
 from __future__ import annotations
 

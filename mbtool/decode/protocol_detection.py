@@ -1,45 +1,48 @@
 """Detects whether a TCP connection carries Modbus/TCP, RTU over TCP or another protocol."""
 
-# A connection is decoded as every protocol that is possible, by one candidate each (a candidate has
-# a `ConnectionDecoder` of its own). The results are held until one candidate is accepted. Then its
+# A connection is decoded as every possible protocol at once, by one candidate each; a candidate has
+# a `ConnectionDecoder` of its own. The results are held until one candidate is accepted. Then its
 # results are returned, from the connection's first byte on, and the other candidates are dropped.
 #
-# Modbus is expected at ports that the user named and at 502. There a candidate is accepted
+# Modbus is expected at port 502 and at ports that the user named. There a candidate is accepted
 #   - with the first ADU that is well formed or whose function code is unknown;
 #   - after MAX_MALFORMED malformed ADUs, or fewer if the connection ends;
 #   - at the first gap and at the connection's end, unless the first bytes of each direction cannot
 #     begin an ADU (for Modbus/TCP: have another protocol id).
-# Where Modbus/TCP is expected, there is a candidate for RTU unless the first segment cannot begin
-# with an RTU frame with a correct CRC. At all other ports, and for this RTU, it is accepted
+# Where Modbus/TCP is expected, there is also a candidate for RTU over TCP, unless the first segment
+# cannot begin with an RTU frame with a correct CRC. This candidate, and every candidate at a port
+# where Modbus is not expected, is accepted
 #   - with a request and its response, both of a known function and well formed, with equal
 #     transaction id and unit (Modbus/TCP) or correct CRCs (RTU); or
 #   - after ENOUGH_ADUS well-formed ADUs in a row. Random bytes look like that with a probability of
-#     2^-96 (MBAP headers), or of 2^-48 and less (CRCs).
-#   - at its end with a well-formed ADU of Modbus/TCP, if another connection to the same
-#     slave (IP address and port) has carried Modbus.
+#     2^-96 (MBAP headers), or of 2^-48 and less (CRCs); or
+#   - at the connection's end with a well-formed ADU of Modbus/TCP, if another connection to the
+#     same slave (IP address and port) has carried Modbus.
 # An RTU frame can look like a Modbus/TCP ADU. If both candidates are left, the next ADU decides.
 #
-# A connection is foreign
+# A connection is foreign (carries another protocol)
 #   - if its beginning was captured and cannot begin an ADU. If Modbus is expected this must be true
-#     of both directions; expected RTU may also begin with noise. A first message that would be an
-#     ADU but for its protocol id speaks for Modbus there: its master sends others, too;
-#   - after MAX_MALFORMED malformed ADUs; if Modbus is expected, after one that begins like another
-#     protocol's message, as LDAP (with a BER length in long form) can look like an MBAP header;
+#     of both directions, and expected RTU may begin with noise. A first message that is an ADU but
+#     for a wrong protocol id counts as a beginning of Modbus there, as a master that sends one
+#     wrong protocol id sends correct ones, too;
+#   - after MAX_MALFORMED malformed ADUs. If Modbus is expected, one is enough if it begins like
+#     another protocol's message: LDAP with a long BER length can look like an MBAP header;
 #   - if the first captured bytes of both directions are TLS records, also without the connection's
 #     beginning. This is not tested if RTU is possible: a request to unit 17H for register 0100H
 #     looks like a TLS record;
-#   - after MAX_UNDECIDED_BYTES without a decision. Where it is not expected, RTU is dropped after
-#     MAX_NOISE bytes of a direction without a frame, as looking for one at every byte is slow, and
-#     Modbus/TCP after MAX_MBAP_NOISE without an ADU.
-# It is reported by one FOREIGN event, which names the protocol if its first bytes are recognised.
-# Later bytes are not examined.
+#   - after MAX_UNDECIDED_BYTES without a decision.
+# Where RTU is not expected, its candidate is dropped after MAX_NOISE bytes of one direction without
+# a frame, because the search for a frame at every byte is slow. Where Modbus/TCP is not expected,
+# its candidate is dropped after MAX_MBAP_NOISE bytes of one direction without an ADU. A foreign
+# connection is reported by one FOREIGN event, which names the protocol if its first bytes are
+# recognised. Later bytes are not examined.
 #
 # The end that sent the SYN is the master. If the capture lacks the SYN, and Modbus is not expected,
 # there are candidates for both roles.
 #
-# Limits, while undecided: the results of MAX_UNDECIDED_BYTES, in up to four candidates, where a gap
-# counts as GAP_BYTES; and the first MAX_HELD_EVENTS events of the connection, each with at most
-# MAX_UNDECIDED_BYTES of raw data.
+# Limits, while undecided: the results of MAX_UNDECIDED_BYTES bytes in up to four candidates, where
+# a gap counts as GAP_BYTES bytes; and the first MAX_HELD_EVENTS events of the connection, each with
+# at most MAX_UNDECIDED_BYTES of raw data.
 
 from __future__ import annotations
 
@@ -81,9 +84,9 @@ MAX_HELD_EVENTS = 8
 MAX_SLAVES = 65536
 """So many slaves are remembered; of further ones the first is forgotten."""
 
-_HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the longest RTU frame.
+_HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept per direction: the longest RTU frame and one more.
 
-_MBAP_SIZE = 6  # Bytes of an MBAP header up to and with its length.
+_MBAP_SIZE = 6  # Bytes of an MBAP header without the unit.
 _MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,2}\Z|..\x00\x00[\x00-\x05]\Z")
 _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 """Matches any transaction id and protocol id 0, or bytes that may become these."""
@@ -509,7 +512,7 @@ class _ProtocolCandidate:
         return any(head and self._may_begin_adu(head, way) for way, head in heads.items())
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
-        if self.is_rtu:  # One direction may carry a whole line, and so begin with either.
+        if self.is_rtu:  # A direction may carry a whole line: requests and responses.
             return any(begins_with_frame(head, each) is not False for each in OTHER)
         if (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None:
             return True

@@ -1,8 +1,8 @@
 """Finds where the frames of a serial line stand in the file that holds its bytes."""
 
-# The raw bytes of a splitter's events, in order, are the bytes that the splitter was fed. So a
-# count of the bytes fed and of the bytes in events gives the place of every frame: in a file of
-# bytes the offset of its first byte, in a file of packets the packet that brought its last byte.
+# The raw bytes of a splitter's events, in order, are the bytes that the splitter was fed. So counts
+# of the bytes fed and of the bytes in events give the place of every frame. In a file of bytes this
+# is the offset of its first byte; in a file of packets, the packet with its last byte.
 #
 # Memory: one mark for each read that still has bytes in the splitter.
 

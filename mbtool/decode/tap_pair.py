@@ -1,4 +1,4 @@
-"""Decodes a serial line of which one tap hears the master and another the slaves."""
+"""Decodes a serial line with two taps: one hears the master, the other the slaves."""
 
 # A side is one tap with a splitter of its own, which knows the direction of its bytes. The events
 # of both sides (ADUs and skipped bytes) are merged into the order in which they were sent, and go
@@ -8,11 +8,13 @@
 # A side is known up to a time if all its events that began before that time were found. That is the
 # time of the first byte that its splitter still holds. If the splitter holds none, it is the time
 # of the side's last read, or the time until which the side was silent. The earliest event goes to
-# the pairing when both sides are known up to LOOKAHEAD_NS after it; what began later has no
+# the pairing when both sides are known up to LOOKAHEAD_NS after it; events that began later have no
 # influence. So the result depends neither on how the bytes were cut into reads nor on which side
-# was read first. A log does not record silence; but a read arrives at most MAX_CLOCK_STEP_NS after
-# a read of the other side with the same time, so the reads of one side show how long the other side
-# was silent at least.
+# was read first.
+#
+# A log does not record silence. But a read arrives at most MAX_CLOCK_STEP_NS after a read of the
+# other side with the same time. So the reads of one side show the least time for which the other
+# side was silent.
 #
 # If a read is more than MAX_CLOCK_STEP_NS older than the time up to which its side is known, the
 # clock was set back. All waiting events then go to the pairing, and both sides start again, as at
@@ -21,7 +23,7 @@
 # If the first MISPLACED_FRAMES frames that fit one direction only are all on the wrong side, one
 # MISPLACED event reports that the two ports are exchanged.
 #
-# Limit: MAX_HELD waiting events, beside what the splitters hold; beyond that the earliest one goes
+# Limit: MAX_HELD waiting events, and what the splitters hold. Beyond that the earliest event goes
 # to the pairing without waiting for the lookahead.
 
 from __future__ import annotations

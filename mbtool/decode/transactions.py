@@ -66,7 +66,7 @@ def with_response(
     exception, outcome = None, Outcome.OK
     values: list[int] | None
     if facts.head and len(pdu) == 2 + facts.head[1] and pdu.startswith(facts.head):
-        values = [*words(pdu[2:])]  # The usual case, before the general one because it is quick.
+        values = [*words(pdu[2:])]  # The usual case is tested first, since it is quick.
     else:
         exception, outcome, values = _read_response(facts, pdu, noticed)
     return _record(

@@ -2,7 +2,7 @@
 
 # A request counts as not answered only if the capture goes on for USUAL_NS after it, and also for
 # SLOWER times the longest latency of its link. The second condition does not apply if the master
-# gave the request up. Within USUAL_NS, TCP can send a lost segment again.
+# gave the request up. USUAL_NS is long enough for TCP to send a lost segment again.
 
 from __future__ import annotations
 

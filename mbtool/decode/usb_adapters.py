@@ -1,24 +1,26 @@
 """Finds the bytes of serial lines in what USB adapters send and receive."""
 
-# An adapter gets the bytes that its machine sends in bulk transfers, and returns those that it has
-# received in others. Both are bytes of one line, as on two wires that one tap hears, since nothing
-# tells which side is the master: the machine may ask, answer or only listen. The line's settings
-# are in control transfers, in a form of each maker (the functions `_..._settings`).
+# An adapter carries bytes in bulk transfers: from the computer to the line, and from the line to
+# the computer. Both are bytes of one line, like those on two wires that one tap hears, since
+# nothing tells which side is the master: the computer may ask, answer or only listen. The settings
+# of the line are in control transfers, whose form depends on the maker (the functions
+# `_..._settings`).
 #
-# FTDI puts two bytes of status before the bytes in each packet of USB, also where there are none.
-# A packet has 64 or 512 bytes; the descriptors of the adapter tell, or else the places at which
-# further status bytes stand. Errors of the line are in the second one.
+# An FTDI adapter begins each USB packet with two status bytes, also a packet without data. A packet
+# has 64 or 512 bytes. The descriptors of the adapter give this size; without them the places of
+# further status bytes show it. The second status byte has the errors of the line.
 #
-# A device is an adapter once a control transfer, its descriptor or FTDI's status shows it. Of other
-# devices with bulk transfers only those count that carry a whole RTU frame with a correct CRC, or
-# the beginning of an ASCII frame: an adapter that was set up before the capture began.
+# A device counts as an adapter once a control transfer, its descriptor or FTDI's status bytes show
+# it. Another device with bulk transfers counts only if it carries a whole RTU frame with a correct
+# CRC, or the beginning of an ASCII frame: an adapter that was set up before the capture began.
 #
-# The time of bytes that came from the line is that of the completed transfer, which is late by what
-# the adapter waits (FTDI: up to 16 ms). Bytes that were sent begin when their transfer was
-# submitted, and end as much later as they take at the line's baud rate.
+# Bytes from the line have the time at which their transfer completed. This is late by the time that
+# the adapter holds bytes back (FTDI: up to 16 ms). Bytes to the line begin when their transfer was
+# submitted, and end after the time that they take at the line's baud rate.
 #
-# Memory: a few numbers for each port of each device, and the setups of control transfers that are
-# underway (MAX_SETUPS). Above MAX_DEVICES, the device that was silent longest is forgotten.
+# Memory: a few numbers for each port of each device, and the setups of at most MAX_SETUPS control
+# transfers that have not completed. Above MAX_DEVICES, the device that was silent longest is
+# forgotten.
 
 from __future__ import annotations
 
@@ -312,7 +314,7 @@ def _cdc_settings(device: _Device, request: _Request, data: bytes) -> bool:
     baud, stop, parity, bits = struct.unpack_from("<IBBB", data)
     device.maker = device.maker or Maker.OTHER
     port = device.ports[0]
-    if 0 < baud < 1 << 31:  # PL2303 can be given a divisor instead, which has the highest bit.
+    if 0 < baud < 1 << 31:  # With the highest bit set, it is a divisor (PL2303).
         port.baud = _usual(baud)
     port.stop_bits, port.data_bits = (2 if stop == 2 else 1), bits
     port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
@@ -324,8 +326,8 @@ def _ftdi_settings(device: _Device, request: _Request, _: bytes) -> bool:
     kind, code, value, index = request
     if kind != 0x40 or device.maker is Maker.OTHER:
         return False
-    # An adapter with several ports has their number, from 1, in the low byte of the index; others
-    # have 0 there, or a bit of the divisor.
+    # An adapter with several ports has the number of the port, from 1, in the low byte of the
+    # index; other adapters have 0 there, or a bit of the divisor.
     number = max((index & 0xFF) - 1, 0)
     if code == 0x03:
         device.maker = Maker.FTDI

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 def can_be_read(profile: Profile, table: Table, span: range) -> bool:
     """True if a master may read the addresses `span` with one request."""
-    return profile.allows(table, span) and _respects_blocks(profile, table, span)
+    return profile.allows(table, span) and (
+        not profile.has_blocks or _respects_blocks(profile, table, span)
+    )
 
 
 def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
@@ -36,11 +38,8 @@ def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[P
     """Return two lists of points that a range of addresses touches.
 
     The first has the points in blocks (registers that a device returns only to a read from the
-    block's first address on). The second has the readable points outside all blocks. Both are empty
-    if the device has no blocks.
+    block's first address on). The second has the readable points outside all blocks.
     """
-    if all(point.block is None for point in profile.points):
-        return [], []
     touched = [
         point
         for point in profile.points

@@ -259,8 +259,9 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # If `own` has two areas or points of one name, only the first replaces the one of that
-            # name in the extended file. The second is kept, too, so that validation reports it.
+            # If `own` has two areas or points with one name, only the first replaces the area or
+            # point of that name in the extended file. The second is also kept, so that validation
+            # reports it.
             indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:

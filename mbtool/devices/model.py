@@ -7,7 +7,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from enum import StrEnum
+from functools import cached_property
+from itertools import pairwise, product
 from typing import Annotated
 
 import msgspec
@@ -329,7 +332,7 @@ class Point(_Part, frozen=True, kw_only=True):
         return {at for first in self.addresses for at in range(first, first + self.words)}
 
 
-class Profile(_Part, frozen=True, kw_only=True):
+class Profile(_Part, frozen=True, kw_only=True, dict=True):
     """A profile: all that a manual says about one device, or about one model of a family of
     devices.
     """
@@ -433,10 +436,34 @@ class Profile(_Part, frozen=True, kw_only=True):
 
         The range may extend over several areas.
         """
-        at = span.start
-        while at < span.stop:
-            area = self.area(table, at, writing=writing)
-            if area is None or not area.access.allows(writing=writing):
-                return False
-            at = area.last + 1
-        return True
+        firsts, ends = self._allowed[table, writing]
+        at = bisect_right(firsts, span.start) - 1
+        return span.stop <= span.start or (at >= 0 and span.stop <= ends[at])
+
+    @cached_property
+    def _allowed(self) -> dict[tuple[Table, bool], tuple[list[int], list[int]]]:
+        """For each table, and True for writing: the first addresses of the ranges that a master may
+        read or write, and the addresses behind their last ones.
+        """
+        allowed = {}
+        for table, writing in product(Table, (False, True)):
+            own = [area for area in self.areas if area.table is table]
+            cuts = sorted({at for area in own for at in (area.first, area.last + 1)})
+            firsts: list[int] = []
+            ends: list[int] = []
+            for first, end in pairwise(cuts):
+                area = self.area(table, first, writing=writing)
+                if area is None or not area.access.allows(writing=writing):
+                    continue
+                if ends and ends[-1] == first:
+                    ends[-1] = end
+                else:
+                    firsts.append(first)
+                    ends.append(end)
+            allowed[table, writing] = firsts, ends
+        return allowed
+
+    @cached_property
+    def has_blocks(self) -> bool:
+        """True if it has registers that a master can only read from the first one of a block on."""
+        return any(point.block is not None for point in self.points)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.assignment import Who
 from mbtool.devices.identity import answer_word
@@ -36,8 +36,7 @@ MAX_ROWS = 120
 MAX_TEXTS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedRequest:
+class ObservedRequest(NamedTuple):
     """A kind of request: all requests that are equal except for the values that they write.
 
     A request with function 17H is observed as two, a read and a write.

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.block_reads import can_be_read
-from mbtool.devices.model import Profile
-from mbtool.devices.observed_slave import ObservedRequest
 from mbtool.devices.references import write_reference
 from mbtool.modbus.functions import (
     FUNCTIONS,
@@ -20,7 +17,8 @@ from mbtool.modbus.functions import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from mbtool.devices.observed_slave import ObservedSlave, Replies
+    from mbtool.devices.model import Profile
+    from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
 _REFUSALS = frozenset(
     (
@@ -31,8 +29,7 @@ _REFUSALS = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PredictedRequest:
+class PredictedRequest(NamedTuple):
     """A request that a slave accepted or refused, and what the profile predicts for it."""
 
     profile: Profile
@@ -84,8 +81,13 @@ def compare_with_profile(slave: ObservedSlave, profile: Profile) -> Iterator[Pre
     """Compare each different request to a slave with a profile; one that tells nothing is left
     out.
     """
+    limits: dict[tuple[int, bool], _Limit] = {}
     for request, replies in slave.requests.items():
-        rule, is_predicted = _predict(profile, request)
+        function, writes = request.function, request.writes
+        limit = limits.get((function, writes))
+        if limit is None:
+            limit = limits[function, writes] = _limit(profile, function, writes=writes)
+        rule, is_predicted = _predict(profile, request, limit)
         is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
         if is_accepted is not None:
             is_refusal = not is_accepted and not is_predicted
@@ -108,8 +110,8 @@ def _observed(
 
     `is_predicted` is True if the profile predicts that the slave accepts it.
     """
-    if replies.ok:
-        return True
+    if replies.ok or not replies.exceptions:
+        return True if replies.ok else None
     codes = profile.exceptions
     refusals = _REFUSALS | {codes.function, codes.address, codes.value}
     refused = refusals.intersection(replies.exceptions)
@@ -136,25 +138,44 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
     return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
 
 
-def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
-    """Predict what a device with the profile does with a request.
+class _Limit(NamedTuple):
+    """What a profile says of a function."""
+
+    most: int
+    """The largest quantity that it takes; 0 if the device does not have the function."""
+    text: str
+    """That it has the function, or not."""
+    text_beyond: str
+    """What it says of a larger quantity."""
+
+
+_ANY = 1 << 32
+
+
+def _limit(profile: Profile, function: int, *, writes: bool) -> _Limit:
+    rule = profile.rule(function)
+    if rule is None:
+        return _Limit(0, f"its manual has no function {function:02X}", "")
+    known = FUNCTIONS.get(function)
+    if function == READ_WRITE_REGISTERS and writes:
+        most = rule.write_limit or WRITE_LIMIT_17H
+    else:
+        most = rule.limit or (known.limit if known is not None else 0) or _ANY
+    return _Limit(most, f"its manual has function {function:02X}", f"its manual's limit is {most}")
+
+
+def _predict(profile: Profile, request: ObservedRequest, limit: _Limit) -> tuple[str, bool]:
+    """Predict what a device with the profile does with a request, whose function has this limit.
 
     Returns the reason in words (`its manual's limit is 100`), and True if the device accepts the
     request, False if it refuses it.
     """
-    function, table, span = request.function, request.table, request.span
-    rule = profile.rule(function)
-    if rule is None:
-        return f"its manual has no function {function:02X}", False
-    if table is None or request.address is None:
-        return f"its manual has function {function:02X}", True
-    known = FUNCTIONS.get(function)
-    if function == READ_WRITE_REGISTERS and request.writes:
-        limit: int | None = rule.write_limit or WRITE_LIMIT_17H
-    else:
-        limit = rule.limit or (known.limit if known is not None else None)
-    if limit is not None and not 1 <= request.quantity <= limit:
-        return f"its manual's limit is {limit}", False
+    table, address = request.table, request.address
+    if not limit.most or table is None or address is None:
+        return limit.text, limit.most > 0
+    if not 1 <= request.quantity <= limit.most:
+        return limit.text_beyond, False
+    span = request.span
     if request.writes:
         verb, is_allowed = "write", profile.allows(table, span, writing=True)
     else:

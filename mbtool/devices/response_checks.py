@@ -78,9 +78,10 @@ def is_wrong_exception(
     causes = causes_in(profile, request_codes)
     own = profile.rule(function)
     if not causes and own is not None and own.data is not None:
-        # The profile fixes the whole request, so that a device has no reason to refuse it. If
-        # success has no response, what a failed one has is not stated; but the function exists, and
-        # it has no address.
+        # The profile states every byte of the request, so a device has no reason to refuse it. The
+        # function exists, and the request has no address, so the codes for these causes are wrong.
+        # If the device responds only to a failed request (`answers` is false), the manual need not
+        # state the code for the failure. So the code for a wrong value is accepted then.
         return own.answers or given != codes[ExceptionCause.VALUE]
     if not causes:
         return profile.complete_areas and _is_well_formed(transaction)

@@ -128,7 +128,7 @@ def response_form(transaction: Transaction) -> tuple[str, str] | None:
     """
     request_pdu = _pdu(transaction, transaction.request_raw)
     pdu = _pdu(transaction, transaction.response_raw)
-    if pdu == request_pdu:
+    if pdu == request_pdu and Verdict.MALFORMED_REQUEST in transaction.verdicts:
         return None
     request = parse_pdu(request_pdu, Direction.REQUEST)
     response = parse_pdu(pdu, Direction.RESPONSE)

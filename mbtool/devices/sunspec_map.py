@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbtool.devices.values import PointInstance
     from mbtool.modbus.transaction import Transaction
 
-# Remembers scale factors that slaves hold in registers.
+# The code below remembers the scale factors that slaves have in registers.
 #
 # A scale factor is a power of ten by which the number in another register is multiplied.
 #

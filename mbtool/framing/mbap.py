@@ -23,7 +23,7 @@
 # - Out of step, an ADU of an unknown function, or one longer than 260 bytes, is accepted if it
 #   begins with a segment and ends with one, or is followed by a header. An ADU of a known function
 #   needs only one of these: it begins with a segment, it ends with a segment, or a header follows
-#   it. If its PDU has not the length that its function tells, it must be one whole segment.
+#   it. If its PDU does not have the length of its function, it must be one whole segment.
 # - While an ADU of an unknown function, or one longer than 260 bytes, is incomplete, its header is
 #   rejected if a whole ADU behind the header begins and ends with a segment. If the header's
 #   function is known, a whole ADU that only ends with a segment is enough to reject the header.
@@ -190,7 +190,7 @@ class MbapSplitter:
 
         Used out of step, for a known function: the ends of TCP segments must confirm the ADU.
         """
-        if not self._by_segments or self._buffer.is_seam(0):
+        if not self._by_segments or self._buffer.is_append_boundary(0):
             return size
         if len(self._buffer) < size:
             return None
@@ -201,7 +201,9 @@ class MbapSplitter:
 
         An ADU with a malformed PDU is accepted only in this case.
         """
-        is_whole = self._by_segments and self._buffer.is_seam(0) and len(self._buffer) == size
+        is_whole = (
+            self._by_segments and self._buffer.is_append_boundary(0) and len(self._buffer) == size
+        )
         return size if is_whole else 0
 
     def _size_by_segments(self, size: int) -> int | None:
@@ -209,7 +211,7 @@ class MbapSplitter:
 
         0 if they do not, None if more bytes are needed to know.
         """
-        if not self._by_segments or not (self._in_step or self._buffer.is_seam(0)):
+        if not self._by_segments or not (self._in_step or self._buffer.is_append_boundary(0)):
             return 0
         if len(self._buffer) < size:
             return 0 if self._is_refuted() else None
@@ -217,7 +219,7 @@ class MbapSplitter:
 
     def _may_end_at(self, end: int) -> bool:
         """True if a segment ends before index `end` of the buffer, or a header follows."""
-        if self._buffer.is_seam(end):
+        if self._buffer.is_append_boundary(end):
             return True
         following = self._buffer.peek(_LENGTH_END, end)
         if any(following[2:4]):
@@ -231,7 +233,7 @@ class MbapSplitter:
         place = 1
         while (at := self._buffer.find(self._header, place)) is not None:
             place = at + 1
-            if self._is_whole_adu(at) and (not is_unknown or self._buffer.is_seam(at)):
+            if self._is_whole_adu(at) and (not is_unknown or self._buffer.is_append_boundary(at)):
                 return True
         return False
 
@@ -241,11 +243,11 @@ class MbapSplitter:
         If its function is unknown, it must begin with a segment.
         """
         end = at + mbap_size(self._buffer.peek(MBAP_BYTES, at))
-        if end > len(self._buffer) or not self._buffer.is_seam(end):
+        if end > len(self._buffer) or not self._buffer.is_append_boundary(end):
             return False
         pdu = self._buffer.peek(end - at - MBAP_BYTES, at + MBAP_BYTES)
         pdu_size = pdu_length(pdu, self._direction)
-        return pdu_size == len(pdu) or (pdu_size == 0 and self._buffer.is_seam(at))
+        return pdu_size == len(pdu) or (pdu_size == 0 and self._buffer.is_append_boundary(at))
 
     def _cut_size(self, missing: int) -> int:
         """Return the size in bytes of the ADU whose first bytes the buffer holds.
@@ -259,7 +261,7 @@ class MbapSplitter:
         size = mbap_size(start)
         if not held < size <= min(held + missing, _LENGTH_END + self._longest):
             return 0
-        if self._in_step or self._buffer.is_seam(0):
+        if self._in_step or self._buffer.is_append_boundary(0):
             return size
         fits = pdu_length(start, self._direction, MBAP_BYTES) == size - MBAP_BYTES
         return size if fits else 0

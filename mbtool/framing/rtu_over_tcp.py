@@ -1,10 +1,10 @@
 """Cuts one direction of RTU over TCP into frames."""
 
-# A TCP stream has no silences, but its direction is known. So the length of a frame follows from
-# its function and byte count, and its CRC confirms the length. If the CRC is wrong, one byte is
-# skipped and a frame is tried at the next. The length of a frame of an unknown function is not
-# known, so its bytes are skipped. One search skips all bytes up to the next known function code,
-# since bytes that are no Modbus would otherwise cost as much time as frames.
+# A TCP stream has no silences, but its direction is known. So function and byte count give the
+# length of a frame, and the CRC confirms it. If the CRC is wrong, one byte is skipped, and the next
+# byte is tried as the beginning of a frame. The length of a frame of an unknown function is not
+# known, so its bytes are skipped. All bytes up to the next known function code are skipped in one
+# search, because bytes that are not Modbus would otherwise cost as much time as frames.
 #
 # Memory: at most one incomplete frame (256 bytes) and the last skipped bytes (skips.MAX_RUN).
 

@@ -55,7 +55,7 @@ class TimedBuffer:
             raise IndexError(index)
         return self._marks[at][1:]
 
-    def is_seam(self, index: int) -> bool:
+    def is_append_boundary(self, index: int) -> bool:
         """True if an `append` began or ended directly before the byte at an index of the buffer."""
         place = self._taken + index
         if place == self._last_end:

@@ -1,18 +1,18 @@
-"""The account of a capture or of live links: counts requests per link, unit, master and poll."""
+"""The account: the statistics of a capture or of live links, by link, unit, master and poll."""
 
-# This is the only place where requests are counted by poll and by unit (docs/stats.md says what
-# each count means). A poll is all equal requests of one master to one unit. Each transaction is
-# counted with its poll at once; the counts of a unit, a function, a master or a link are the sums
-# of their polls, and of what has no poll (UseAccount). Counts over time are in bins
-# (time_bins.py). Periods, retries and poll cycles need the requests sorted by time, which
-# request_order.py does.
+# This is the only place where requests are counted by poll and by unit (docs/stats.md defines each
+# count). A poll is all equal requests of one master to one unit. Each transaction is counted at
+# once in its poll. The counts of a unit, a function, a master or a link are the sums of the counts
+# of their polls; a UseAccount has the counts of requests that belong to no poll. time_bins.py has
+# the counts over time. Periods, retries and poll cycles need the requests sorted by time:
+# request_order.py sorts them.
 #
 # Memory. At most MAX_POLLS polls: at the limit, the poll whose last request is oldest is removed,
 # and its counts are added to those of its function. At most MAX_UNITS units, MAX_USES functions of
-# units, MAX_MASTERS masters, MAX_LINKS links and MAX_PAIRS pairs of link and master; and what
-# time_bins.py and request_order.py keep, and observation.py if it is asked for. Links, and units
-# and functions, beyond their limits are counted together. A poll takes 2 to 10 KB in practice, and
-# 130 KB if all its latencies and periods differ.
+# units, MAX_MASTERS masters, MAX_LINKS links and MAX_PAIRS pairs of link and master. Further links,
+# units and functions are counted together. A poll takes 2 to 10 KB in practice, and 130 KB if all
+# its latencies and periods differ. time_bins.py, request_order.py and observation.py (only on
+# request) state their own memory.
 
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ from collections import Counter, OrderedDict
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.devices.checking.sliding_window import BEFORE, Stays
 from mbtool.ledger.link_statistics import LinkStatistics
 from mbtool.ledger.master_tape import Lacks
 from mbtool.ledger.observation import Observation
-from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
+from mbtool.ledger.poll_statistics import GIVEN_UP, PollKey, PollStatistics, poll_key
 from mbtool.ledger.request_order import RequestOrder
+from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_connections import ConnectionTally
 from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
@@ -33,13 +35,12 @@ from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.response import DamagedAnswers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun, ConnectionCounts
     from mbtool.ledger.master_tape import MasterTape
-    from mbtool.ledger.request_tally import RequestTally
 
 MAX_POLLS = 2048
 MAX_UNITS = 65_536
@@ -48,6 +49,9 @@ MAX_MASTERS = 65_536
 MAX_LINKS = 65_536
 MAX_PAIRS = 4096
 _MAX_HOSTS = 65_536
+_FEW = 256
+"""A poll that is removed after at most so many requests need not be counted by itself: its counts
+are the sums over its requests, because no latency is rounded."""
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
 _SUMS_OF_EVENTS = {
@@ -90,10 +94,10 @@ class Account:
         """Make an empty account.
 
         `format_of` is called with the name of a link. It returns the baud rate and character format
-        of a serial line, None if they are unknown. `on_retry` is told of retries, after they are
-        counted, as `count_retry` is. `is_part` says that the account gets only some of the requests
-        of an account of all: retries are then not looked for, and the caller tells them with
-        `count_retry`. With `observes`, the account has what tells one device from another.
+        of a serial line, None if they are unknown. `on_retry` is called for each retry after
+        it was counted, with the arguments of `count_retry`. `is_part` is True if the account gets
+        only some of the requests of another account: then it does not look for retries, and the
+        caller adds them with `count_retry`. With `observes`, it notes what identifies a device.
         """
         self._format_of = format_of
         self._on_retry = on_retry
@@ -309,23 +313,76 @@ class Account:
         likes = [kind.like for kind in run.kinds]
         keys = [poll_key(like, self._host(like.source)) for like in likes]
         if len(self.polls) + len({*keys} - self.polls.keys()) > MAX_POLLS:
-            found = []
-            for kind, begin_ns, end_ns in run.each():
-                poll = self._count_poll(keys[kind], likes[kind], 1)
-                poll.tally.latency.add(end_ns - begin_ns)
-                found.append(poll)
-            return found
+            return self._count_passing_polls(run, keys, likes)
         polls = [
             self._count_poll(key, kind.like, kind.count)
             for key, kind in zip(keys, run.kinds, strict=True)
         ]
         for poll, latencies in run.latencies_of(polls).items():
             poll.tally.latency.add_all(latencies)
-        # `self.polls` is kept in the order of the last requests, as the first poll is removed at
+        # `self.polls` is in the order of the last requests, because the first poll is removed at
         # the limit.
         for one in reversed(dict.fromkeys(reversed(run.kind))):
             self.polls.move_to_end(keys[one])
         return [polls[kind] for kind in run.kind]
+
+    def _count_passing_polls(
+        self, run: AnsweredRun, keys: Sequence[PollKey], likes: Sequence[NamedTransaction]
+    ) -> list[PollStatistics]:
+        """Count the requests of a batch that has more polls than there is room for. `keys` and
+        `likes` have the key and the example of each group of its requests.
+
+        Most of these polls are added and removed within the batch, so that only their function
+        keeps their counts. Their requests are counted with the function at once.
+        """
+        numbers: dict[PollKey, int] = {key: number for number, key in enumerate(self.polls)}
+        number_of = [numbers.setdefault(key, len(numbers)) for key in keys]
+        stays = Stays(map(number_of.__getitem__, run.kind), range(len(self.polls)), MAX_POLLS)
+        old, names = [*self.polls.values()], [*numbers]
+        made: dict[int, PollStatistics] = {}
+        every = [*stays.ended, *stays.left.items()]
+        for first, number in sorted((places[0], number) for number, places in every):
+            if first != BEFORE:
+                like = likes[run.kind[first]]
+                use = self._use(like, names[number].master)
+                made[first] = PollStatistics(self.polls_seen, names[number], like, use, GIVEN_UP)
+                self.polls_seen += 1
+        polls = [
+            (old[number] if places[0] == BEFORE else made[places[0]], places)
+            for number, places in every
+        ]
+        of_place = {place: poll for poll, places in polls for place in places}
+        of_request = [of_place[place] for place in range(len(run))]
+        if self.observation is not None:
+            self._note_kinds_of(run, of_request)
+        passing: dict[UseAccount, list[int]] = {}
+        """The places of the requests of polls that came and went, by function."""
+        for poll, places in polls[: len(stays.ended)]:
+            if poll.tally is GIVEN_UP and len(places) <= _FEW:
+                passing.setdefault(poll.use, []).extend(places)
+                continue
+            run.count(passing.pop(poll.use, ()), poll.use.tally)
+            _count_stay(run, poll, places)
+            poll.give_up()
+        for use, some in passing.items():
+            run.count(some, use.tally)
+        self.polls = OrderedDict()
+        for poll, places in polls[len(stays.ended) :]:
+            _count_stay(run, poll, places)
+            self.polls[poll.key] = poll
+        return of_request
+
+    def _note_kinds_of(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
+        """Note what the requests of a batch ask for; `polls` has the poll of each. They are not
+        counted yet.
+        """
+        known: set[tuple[PollStatistics, int | None]] = set()
+        for kind, poll in zip(run.kind, polls, strict=True):
+            like = run.kinds[kind].like
+            if (poll, like.exception) not in known:
+                known.add((poll, like.exception))
+                if _is_new_kind(poll.tally, like):
+                    self._note_kind(poll.use, like)
 
     def _count_poll(self, key: PollKey, like: NamedTransaction, number: int) -> PollStatistics:
         """Count `number` equal requests of the poll with this key, but not their latencies."""
@@ -386,7 +443,7 @@ class Account:
         cell[place] += 1
         if place is not LinkSum.LACKING:
             cell[LinkSum.BYTES] += len(event.raw)
-            if link.transport is not None:  # The time before its first request is not watched.
+            if link.transport is not None:  # Count only after its first request.
                 link.other_bytes += len(event.raw)
         link.bad_checks += place is LinkSum.BAD_CHECK
 
@@ -486,6 +543,13 @@ class Account:
                 self._hosts.clear()
             host = self._hosts[address] = address.rpartition(":")[0].strip("[]")
         return host
+
+
+def _count_stay(run: AnsweredRun, poll: PollStatistics, places: list[int]) -> None:
+    """Count the requests of a batch at these places with their poll."""
+    if poll.tally is GIVEN_UP:
+        poll.tally = RequestTally()
+    run.count(places[places[0] == BEFORE :], poll.tally)
 
 
 def _size(one: NamedTransaction) -> int:

@@ -1,13 +1,13 @@
-"""Tells which requests of a polled list could be one, and how long its cycle would be then."""
+"""Advises which requests of a polled list can be joined, and computes its cycle time then."""
 
-# Reads of one unit with one function become one if the addresses between them are known: some
-# request has read them, and the slave answered. A gap that nobody has read may be refused, so it
-# is never read over; nor is a range that contains one that the slave refused. A merged read has at
-# most the quantity of the standard, or of the device's profile.
+# Reads of one unit with one function can be joined if the addresses between them can be read:
+# another request has read them, and the slave answered. A gap that no request has read is not read,
+# as the slave may refuse it. No joined read contains a range that the slave refused. A joined read
+# has at most the quantity that the standard, or the device's profile, allows.
 #
-# A request takes a fixed time (of the slave, and of the bytes that every request has) and a time
-# for each register or bit. The time for each follows from the requests of different quantities to
-# the same unit, and is on a serial line at least that of its bytes.
+# A request takes a fixed time (for the slave, and for the bytes that every request has) and a time
+# for each register or bit. The latter is computed from requests of different quantities to the same
+# unit. On a serial line it is at least the time of the bytes.
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Answered reads and writes of a network, grouped by poll, for values over time."""
 
-# Capture files are decoded as arrays, which give many such reads at once.
+# Capture files are decoded as arrays (columns/), which yield many such reads at once.
 
 from __future__ import annotations
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from operator import attrgetter
+from operator import attrgetter, sub
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
@@ -14,6 +15,8 @@ from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
+
+    from mbtool.ledger.request_tally import RequestTally
 
 P = TypeVar("P", bound="Hashable")
 
@@ -84,6 +87,12 @@ class AnsweredRun:
     def __len__(self) -> int:
         return len(self.kind)
 
+    @property
+    def longest_ns(self) -> int:
+        """The greatest latency of all (ns)."""
+        longest: int = max(map(sub, self.response_ns, self.request_ns))
+        return longest
+
     def forms(self) -> list[AlikeRequests]:
         """Return the groups of requests that are equal except for their addresses, in the order in
         which they first appear; `kinds` if that would hardly be less.
@@ -109,6 +118,18 @@ class AnsweredRun:
         for kind, begin_ns, end_ns in self.each():
             found[polls[kind]].append(end_ns - begin_ns)
         return found
+
+    def count(self, places: Sequence[int], tally: RequestTally) -> None:
+        """Count the requests at these places of the batch in `tally`."""
+        if not places:
+            return
+        kinds = Counter([self.kind[place] for place in places])
+        forms: dict[int, list[int]] = {}
+        for kind in kinds:
+            forms.setdefault(self.kinds[kind].form, []).append(kind)
+        for some in forms.values():
+            tally.count_alike(self.kinds[some[0]].like, sum(kinds[kind] for kind in some))
+        tally.latency.add_all([self.response_ns[one] - self.request_ns[one] for one in places])
 
     def each(self) -> Iterator[tuple[int, int, int]]:
         """Yield for each transaction the index of its group, and the times (UTC ns) of its request

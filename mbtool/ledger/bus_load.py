@@ -2,12 +2,12 @@
 
 # At any time, a two-wire line is in one of these states:
 #
-#     characters   bytes are on the line; their number gives the time, with the baud rate and the
-#                  character format
-#     slaves       the master waits for a response that comes: its latency
-#     missing      the master waits in vain until its timeout; no time is counted for a response
-#                  with a wrong CRC, after which the master does not wait any longer
-#     pauses       all the rest: the master sends nothing and waits for nothing
+#     characters   Bytes are on the line. The time is computed from their number, the baud rate and
+#                  the character format.
+#     slaves       The master waits for a response that comes: the latency of the slave.
+#     missing      The master waits until its timeout, and no response comes. After a response with
+#                  a wrong CRC the master does not wait, so no time is counted.
+#     pauses       All the rest: the master sends nothing and waits for nothing.
 #
 # The timeout is estimated once for each master (poll_cycle.py), because the time between an
 # unanswered request and the next one may also include a pause.

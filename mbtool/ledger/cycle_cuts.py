@@ -1,7 +1,8 @@
 """Cuts the requests of a master into poll cycles, by finding the sequence that repeats."""
 
-# poll_cycle.py calls this module and explains the method. Memory: a few copies of the list of
-# requests that the caller passes.
+# poll_cycle.py uses this module and explains the method.
+#
+# Memory: a few copies of the list of requests that the caller passes.
 
 from __future__ import annotations
 
@@ -101,8 +102,8 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
     usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
     if count < MIN_CYCLES or count * len(usual) < MIN_REQUESTS:
         return None
-    # The requests before the first cut, and those after the last one, are added to the share if
-    # they are a part of the usual cycle.
+    # Add the requests before the first cut, and those after the last one, if they are a part of the
+    # usual cycle.
     head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0
     last = tuple(polls[cuts[-2] :])
     tail = len(last) if len(last) < len(usual) and last == usual[: len(last)] else 0

@@ -23,6 +23,8 @@ MAX_BUCKETS = 1024
 _EXACT_BITS = 64
 _STEPS = (1, 2, 5)
 _MICROSECOND = 1000
+PERCENTILES = (50, 95, 99)
+"""The percentiles of latencies that statistics, the report and the metrics show."""
 _FAR = 1.5
 """Bars leave out durations beyond the 99th percentile if the greatest is so many times that."""
 
@@ -126,7 +128,7 @@ class Distribution:
                 return min(max(middle, self.least), self.greatest)
         return 0
 
-    def number_from(self, ns: int) -> int:
+    def count_at_least(self, ns: int) -> int:
         """Return how many durations are `ns` or longer, as exactly as `error` says."""
         return sum(count for low, count in self._buckets.items() if low + self._width(low) > ns)
 

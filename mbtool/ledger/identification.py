@@ -1,7 +1,7 @@
 """Decides which device profile fits a slave, with a score from 0 to 100, or that none fits."""
 
 # A few different requests fit the profiles of many devices, because most devices answer a read of
-# their first registers. So a profile fits only if all of these conditions hold:
+# their first registers. So a profile fits only if all of these conditions are met:
 #
 # - no other profile explains the slave's responses as well;
 # - something confirms it that other devices do not share: the model code, the model's name in the
@@ -11,9 +11,9 @@
 #
 #       score = 100 * explained / (explained + 5 * contradicted + 2)
 #
-#   `explained` and `contradicted` are the numbers of different requests that ended as the profile
-#   predicts, and otherwise. The model code counts as MODEL_WEIGHT explained requests and the name
-#   as NAME_WEIGHT. The 2 keeps the score low after few requests.
+#   `explained` is the number of different requests that ended as the profile predicts,
+#   `contradicted` the number of those that ended differently. The model code counts as MODEL_WEIGHT
+#   explained requests and the name as NAME_WEIGHT. The 2 keeps the score low after few requests.
 #
 # If the profile does not fit, the score is at most UNCONFIRMED.
 

@@ -1,7 +1,8 @@
-"""The slaves and masters of a capture, as rows that are read out of the account."""
+"""Makes the inventory: a row for each slave and each master, from the figures of the account."""
 
-# A slave's row stands for one unit at one host and port, or one unit of a serial line. What the
-# account counts together, as it is beyond a limit, has no row: `left_out` counts it.
+# The row of a slave stands for one unit at one host and port, or one unit of a serial line. Beyond
+# its limits, the account (account.py) counts units together: these have no row, and `left_out` is
+# their number.
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
 # A range is a pair of its first and its last address, both included. The ranges of a set are
 # sorted; ranges that overlap or touch are merged.
 #
-# A set holds at most MAX_RANGES ranges. A scan of every second register would need more. At the
-# limit, a new range is not added, but counted in `left_out`, unless it overlaps or touches a range
-# of the set.
+# A set holds at most MAX_RANGES ranges; a scan of every second register would need more. At the
+# limit, a new range is added only if it overlaps or touches a range of the set. Otherwise it is
+# only counted in `left_out`.
 
 from __future__ import annotations
 

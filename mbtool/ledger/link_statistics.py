@@ -1,4 +1,4 @@
-"""The account of one link: the time during which it was watched, and its settings."""
+"""The statistics of one link: the time during which it was watched, and its settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Observes what units answer, to tell what they are: texts of identity, and different requests."""
+"""Notes what units answer, for their identification: identity texts, and different requests."""
 
 # Memory: at most MAX_REQUESTS different requests of all units together, and MAX_TEXTS texts of one
 # name for each unit.
@@ -37,7 +37,7 @@ class Observation:
         _note_identity(unit, one)
         if unit.observed is None:
             if one.outcome in UNANSWERED:
-                return  # A unit is compared with profiles only once it has answered.
+                return  # Only a unit that has answered is compared with profiles.
             link = "" if one.destination is not None else one.link
             unit.observed = ObservedSlave(link, one.destination, one.unit)
         if self._requests >= MAX_REQUESTS:

@@ -8,17 +8,19 @@
 # Strategy. A request and its retries count as one request. Polls that were sent fewer than
 # MIN_CYCLES times belong to no list. For the others:
 #
-# 1. Cut the sequence of requests wherever one poll follows another certain poll (a transition). The
-#    most frequent sequence between two cuts is the cycle, and the share of all requests that are in
-#    such cycles is what it explains. Take the transition whose cycle explains most. If that is at
-#    least MOST, the cycle is a list, except for case 2.
-# 2. The cycle consists of two lists, the period of one a multiple of the other's, if a poll comes
-#    several times in it at even distances, while the pauses in the cycle are uneven.
+# 1. A transition is a poll that follows a certain other poll. Cut the sequence of requests at every
+#    occurrence of one transition. The most frequent sequence between two cuts is the cycle of this
+#    transition; it explains the share of all requests that are in such sequences. Take the
+#    transition whose cycle explains most. If that share is at least MOST, the cycle is a list,
+#    except for case 2.
+# 2. If a poll comes several times in the cycle at even distances, while the pauses in the cycle are
+#    uneven, the cycle consists of two lists. The period of one is a multiple of the other's.
 # 3. If no cycle explains MOST of the requests, group the polls whose own periods are regular and
 #    equal, and start again at 1 with the requests of each group. A poll without a regular period
 #    that comes equally often in each cycle of a group belongs to that group, too.
-# 4. If there are no such groups, start again at 1 with the polls that are sent often. If all are,
-#    take a cycle that explains at least MANY, and search for lists in the remaining requests.
+# 4. If there are no such groups, start again at 1 with only the polls that are sent often. If all
+#    polls are sent often, take a cycle that explains at least MANY, and search for lists in the
+#    remaining requests.
 #
 # Memory: a few copies of the list of requests; the caller limits its length.
 
@@ -224,7 +226,8 @@ def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[Pol
     for one in asked:
         is_waited_for = one.is_missing and not one.is_damaged
         end_ns = one.end_ns + (timeout_ns if is_waited_for else 0)
-        # After a damaged response, masters repeat at once or when the timeout is over.
+        # After a damaged response, a master repeats the request at once, or when the timeout is
+        # over.
         soon_ns = (_SOON + was_damaged) * timeout_ns
         is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= soon_ns
         if was_missing and is_soon and starts[-1].poll == one.poll:

@@ -27,7 +27,7 @@ _ENOUGH_PERIODS = 5
 _STEADY = 8
 """If a poll without a usual period comes this many times at equal distances and gets no response,
 its requests are polls and no retries."""
-_GIVEN_UP = RequestTally()
+GIVEN_UP = RequestTally()
 """Shared by all polls that were given up, as there may be many; it stays empty."""
 
 
@@ -89,7 +89,14 @@ class PollStatistics:
         "use",
     )
 
-    def __init__(self, number: int, key: PollKey, first: NamedTransaction, use: UseAccount) -> None:
+    def __init__(
+        self,
+        number: int,
+        key: PollKey,
+        first: NamedTransaction,
+        use: UseAccount,
+        tally: RequestTally | None = None,
+    ) -> None:
         self.use = use
         """The use of the poll's function; its unit and its master are there."""
         self.number = number
@@ -98,7 +105,7 @@ class PollStatistics:
         self.function_name = first.function_name
         self.reference = first.reference
         self.device = first.device
-        self.tally = RequestTally()
+        self.tally = RequestTally() if tally is None else tally
         self.period = Distribution(_PERIOD_BUCKETS)
         """The times (ns) from one request of the poll to the next; retries are no requests here."""
         self.longest: tuple[tuple[int, int], ...] = ()
@@ -119,7 +126,7 @@ class PollStatistics:
         the poll longer, but needs only its key and its periods.
         """
         self.use.tally.merge(self.tally)
-        self.tally = _GIVEN_UP
+        self.tally = GIVEN_UP
 
     def begin(self, at_ns: int) -> None:
         """Note a request of the poll that is no retry. `at_ns` (UTC ns) is its time."""

@@ -2,7 +2,8 @@
 
 # A request without a response is reported only after its timeout, so after many requests that were
 # sent later. So requests wait until there are 2 * WINDOW of them; then the WINDOW earliest ones are
-# passed on. A request that comes after a later one was passed on is only counted, in `late`.
+# passed on. A request that comes too late, when a later one was already passed on, is only counted
+# in `late`.
 #
 # Memory: 2 * WINDOW requests, and for each of at most MAX_TAPES masters its last requests.
 
@@ -33,8 +34,8 @@ class RequestOrder:
     """
 
     def __init__(self, on_retry: Callable[[PollStatistics, int, int], None] | None) -> None:
-        """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if a
-        request that was told as a retry turns out to be none. None if nobody asks for retries.
+        """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if
+        a request that was reported as a retry is none. None if nobody asks for retries.
         """
         self._on_retry = on_retry
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
@@ -75,7 +76,7 @@ class RequestOrder:
         (UTC ns). The result is the same as if `add` was called for each.
         """
         held = self._waiting
-        if len(held) + len(at_ns) < 2 * WINDOW:  # None of them is passed on.
+        if len(held) + len(at_ns) < 2 * WINDOW:  # No request is passed on yet.
             held += zip(at_ns, polls, ends_ns, repeat(0), repeat(Lacks.NOTHING))
             return
         at = [one[0] for one in held] + at_ns
@@ -140,7 +141,8 @@ class RequestOrder:
         if by_tape:
             self._ordered_ns = self._waiting[number - 1][0]
         del self._waiting[:number]
-        # Tapes come in the order of their last requests, as the oldest one goes at the limit.
+        # Take the tapes in the order of their last requests, because the oldest one is removed at
+        # the limit.
         for key, asked in sorted(by_tape.items(), key=_last_of_tape):
             tape = self._tape(key)
             unanswered = tape.unanswered

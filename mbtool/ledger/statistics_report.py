@@ -1,4 +1,4 @@
-"""Groups the account by link, for tables and JSON documents."""
+"""Groups the statistics of an account by link, for tables and JSON documents."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def unit_polls(links: Sequence[LinkReport]) -> dict[tuple[str, int], list[PollSt
 
 
 def unit_times(links: Sequence[LinkReport]) -> dict[tuple[str, int], UnitAccount]:
-    """Return the account of each unit that has times; the key is link and unit."""
+    """Return the statistics of each unit that has times; the key is link and unit."""
     return {(link.name, number): unit for link in links for number, unit in link.units.items()}
 
 

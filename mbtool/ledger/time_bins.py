@@ -1,13 +1,13 @@
-"""Adds up counts in spans of time (bins), which become wider as there are more of them."""
+"""Adds up counts in spans of time (bins), which become wider as the recording becomes longer."""
 
-# A row is one thing that is counted, a unit or a link. A bin begins at a multiple of its width in
-# UTC. Each width of _WIDTHS_NS is a multiple of the one before it, so a wider bin consists of whole
-# narrower ones, and rows of different widths can be shown in one chart. The width depends on what
-# was counted, and not on the order in which it came, as long as MAX_CELLS is not reached.
+# A row is one thing that is counted: a unit or a link. A bin begins at a multiple of its width in
+# UTC. Each width in _WIDTHS_NS is a multiple of the one before it, so a wider bin consists of whole
+# narrower ones, and rows of different widths can be shown in one chart. As long as MAX_CELLS is not
+# reached, the width depends on the counted times only, not on their order.
 #
-# Memory: for each row at most MAX_BINS bins, or MAX_HOURS if they are an hour wide or wider; empty
-# ones take none. At most MAX_CELLS in all rows together: beyond that, each row may have half as
-# many. With the greatest width, all times of 64 bits of ns are in 215 bins.
+# Memory: for each row at most MAX_BINS bins, or MAX_HOURS if they are an hour wide or wider. Empty
+# bins take no memory. All rows together have at most MAX_CELLS bins; beyond that, the limit of each
+# row is halved. With the greatest width, all 64-bit times in ns are in 215 bins.
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rows of the account (account.py) beside its polls: units, uses of functions, and masters."""
+"""The rows of the account (account.py) for units, uses of functions, and masters."""
 
 # Memory: each row has at most MAX_MACS MAC addresses, MAX_TEXTS identity texts of one name, and the
 # ranges of inventory_ranges.py. The account limits the numbers of rows.

@@ -2,8 +2,8 @@
 
 # Messages are collected in one open chunk. The chunk is sealed (compressed with zstd, followed by
 # its message indexes) when it has CHUNK_SIZE bytes, before a record that must be outside chunks,
-# and at a flush. Sealed bytes go to the file at the next flush; a full chunk causes one. Schemas
-# and channels are in the chunk that first uses them.
+# and at a flush. Sealed bytes go to the file at the next flush; a full chunk causes a flush.
+# Schemas and channels are in the chunk that first uses them.
 #
 # Memory: one chunk, and the chunk indexes for the summary, about 110 bytes for each chunk (two
 # chunks a second for a day: 19 MB).

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import InputError
 
-# Counts the messages of a log that are left out because a number in them is out of range.
+# ImpossibleItems counts the messages of a log that are left out because a number is out of range.
 #
 # The types of the fields give the range of each number (modbus/transaction.py), such as 0 to 255
 # for a unit. The recorder writes no number outside it, so such a message was made by another

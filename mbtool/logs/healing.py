@@ -155,7 +155,7 @@ class SoundRecords:
             self._why = "a message shorter than its header"
             return None
         if opcode == Opcode.MESSAGE and _is_index(content):
-            return None  # A message index, in whose opcode one bit has changed.
+            return None  # A message index with one wrong bit in its opcode.
         if opcode == PRIVATE and not content.strip(b"\0"):
             return record  # A filler record of zeros. The record behind it may be damaged.
         if not self._may_begin(_HEAD + len(content)):

@@ -1,12 +1,13 @@
 """Formats transactions as IPAL: one JSON line for each request and each response."""
 
-# IPAL is a form of industrial traffic that intrusion detection systems take, independent of the
-# protocol (https://github.com/fkie-cad/ipal_transcriber, README, "Message Format"). A message has
-# an `id`, its `timestamp` in seconds, `src` and `dest` (a slave's with its unit), the function code
-# as `type`, an `activity`, and `data`: a value for each register or bit, null where one is asked
-# for. The response follows its request, and `responds to` names the request's id. Of a serial line,
-# `src` and `dest` are the name of the line. `malicious` is null, as nobody has labelled the
-# traffic. Functions without registers or bits, and masks of a mask write, have no data.
+# IPAL is a form of industrial traffic for intrusion detection systems, independent of the protocol
+# (https://github.com/fkie-cad/ipal_transcriber, README, "Message Format"). A message has an `id`;
+# its `timestamp` in seconds; `src` and `dest` (for a slave, with its unit; on a serial line, the
+# name of the line); the function code as `type`; an `activity`; and `data`, with the value of each
+# register or bit. In the request of a read, these values are null. The response follows its
+# request, and `responds to` has the id of the request. `malicious` is null, because the traffic is
+# not labelled. Functions without registers or bits have no data, and neither have the masks of a
+# mask write.
 #
 # Memory: the number of messages.
 

@@ -14,8 +14,9 @@
 #
 # Memory: BATCH messages, and the schema of each channel (at most 65,535).
 #
-# Work: a log has at most as many records as bytes, plus MIN_RECORDS. The rest of a chunk with more
-# is a hole: zeros that unpack to a thousand times their size would be millions of empty records.
+# Work: at most as many records are read as the log has bytes so far, plus MIN_RECORDS. If a chunk
+# has more, the rest of it is reported as damaged: a chunk of zeros, which unpacks to a thousand
+# times its size, would have millions of empty records.
 
 from __future__ import annotations
 

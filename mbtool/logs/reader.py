@@ -18,8 +18,8 @@
 # An item with a value that nothing on a wire can have, such as unit -5, is left out. One UNREADABLE
 # event at the end tells how many such items there were.
 #
-# The log of a recorder that was killed is complete; only `closed`, which is then False, tells it
-# from the log of a recorder that ended normally.
+# If the recorder was killed, its log is complete nevertheless. Only `closed`, which is False then,
+# shows that the recorder did not end normally.
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ class RotatingLog(ClosesOnExit):
         try:
             self._writer.close(final)
         finally:
-            self._let_first_go()
+            self._close_first()
             self._keep_finished(self._writer.path)
 
     def _take_series(self) -> None:
@@ -273,7 +273,7 @@ class RotatingLog(ClosesOnExit):
         """Rename a finished file that is to be kept, and the one before it; False if it is not."""
         if part_number(path) not in self._kept:
             return False
-        self._let_first_go()
+        self._close_first()
         before = self._finished and part_number(self._finished[-1]) in self._kept
         with suppress(OSError):  # Its name stays; this run does not remove it.
             for one in ([self._finished.pop()] if before else []) + [path]:
@@ -293,14 +293,14 @@ class RotatingLog(ClosesOnExit):
         return False
 
     def _remove_oldest(self) -> bool:
-        self._let_first_go()  # An open handle would keep the file's disk space in use.
+        self._close_first()  # An open handle would keep the file's disk space in use.
         try:
             self._finished.popleft().unlink()
         except OSError:
             return False
         return True
 
-    def _let_first_go(self) -> None:
+    def _close_first(self) -> None:
         if self._first is not None:
             self._first.close()
 

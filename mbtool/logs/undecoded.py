@@ -1,8 +1,8 @@
 """Finds out if a log contains captured bytes that were not decoded when the log was made."""
 
-# A recorder writes a mark (DecodingMark) when its decoder falls behind the capture, and one when it
-# has caught up. Few logs have any. A closed log lists its topics in its summary, so a log is
-# searched for marks only if its summary lists their topic or if it was not closed.
+# A recorder writes a mark (DecodingMark) when its decoder falls behind the capture, and another one
+# when it has caught up. Few logs have such marks. A closed log lists its topics in its summary, so
+# a log is searched for marks only if its summary lists their topic or if it was not closed.
 #
 # A log that was not closed, because its recorder was killed or is still writing, may lack the
 # decoded records of its last moments without a mark: the recorder writes a mark only when its
@@ -33,8 +33,8 @@ from mbtool.logs.reader import LogReader
 
 MAX_LOOKED_THROUGH = 16 << 20
 """The largest size in bytes of a log that was not closed, up to which mbtool looks if its last
-bytes were decoded, and decodes them, which takes some seconds. For a larger log the user is told
-how."""
+bytes were decoded, and decodes them, which takes some seconds. For a larger log, a message tells
+the user how to do it."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

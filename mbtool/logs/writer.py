@@ -1,10 +1,10 @@
 """Writes a log: captured bytes, what was decoded from them, and the metadata for reading both."""
 
-# Reads of serial lines are joined, as a message for each byte takes 40 times its space: the reads
-# of one line since the last flush become one message (evidence_blocks.py). Other items that are
-# written meanwhile are kept back, and follow the joined reads in the file: first other captured
-# data, then all else. Apart from that, the file has the order of the calls. So if captured bytes
-# are written before they are decoded, they come before the transactions decoded from them.
+# Reads of serial lines are joined, because a message for each byte takes 40 times its space: all
+# reads of one line since the last flush become one message (evidence_blocks.py). Other items that
+# are written meanwhile are held back and follow the joined reads in the file: first other captured
+# data, then everything else. Apart from that, the file has the order of the calls. So if captured
+# bytes are written before they are decoded, they come before the transactions decoded from them.
 #
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If

@@ -78,9 +78,33 @@ _LONGEST_LATER_TURN_NS = 180_000_000_000
 heard since, such as that before a request out of turn, is soon forgotten."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
+SLICE_NS = 20_000_000
+"""The longest single wait for a response, in ns."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
+
+
+class Patience:
+    """A time for which something is awaited, in waits of at most SLICE_NS.
+
+    A wait that takes longer than that, as this process got no processor, counts as SLICE_NS: the
+    slave may be on the same machine, and what it sent meanwhile is read at the next look.
+    """
+
+    def __init__(self, wait_ns: int, most_ns: int = SLICE_NS) -> None:
+        """A single wait counts as `most_ns` at most."""
+        self._wait_ns, self._most_ns = wait_ns, most_ns
+        self._looked_ns = time.monotonic_ns()
+        self.waited_ns = 0
+        """The time that counts, in ns."""
+
+    def next_ns(self) -> int:
+        """Return how long to wait next, in ns; 0 or less if the time is over."""
+        now_ns = time.monotonic_ns()
+        self.waited_ns += min(now_ns - self._looked_ns, self._most_ns)
+        self._looked_ns = now_ns
+        return min(self._wait_ns - self.waited_ns, SLICE_NS)
 
 
 class ReceivedResponse(NamedTuple):
@@ -195,16 +219,18 @@ class MasterLink(ABC):
 
     def _is_answered(self, wait_ns: int) -> bool:
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
-        until_ns = time.monotonic_ns() + wait_ns
-        rest_ns = wait_ns
+        patience = self._patience(wait_ns)
         while self._asked not in self.lost():
-            # Check once more after the timeout: this process may have been suspended.
+            # Read once more after the timeout, because this process may have been suspended.
+            rest_ns = patience.next_ns()
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
             if rest_ns <= 0:
                 return False
-            rest_ns = until_ns - time.monotonic_ns()
         return False
+
+    def _patience(self, wait_ns: int) -> Patience:
+        return Patience(wait_ns)
 
     def _note_request(
         self, unit: int, pdu: bytes, raw: bytes, transaction_id: int | None = None
@@ -291,8 +317,8 @@ class TcpMaster(MasterLink):
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self._is_refused = False
-        """True if nobody listens at the slave's port for UDP, which was told once, until a datagram
-        comes from there."""
+        """True after nobody listened at the slave's UDP port, until a datagram comes from it. The
+        user is told only once."""
         self.ended: ConnectionEnding | None = None
         """The way in which the slave ended the last connection, FIN or RST; None if it did not, and
         always for UDP."""
@@ -496,14 +522,15 @@ class SerialMaster(MasterLink):
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
-        """The other master in whose pauses requests are sent; None if the line is ours alone."""
+        """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
         """The number of requests that were sent in its pauses."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
         """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
-        and True for a request of ours and for what comes until the next turn is awaited."""
+        and True for a request of this program and for the bytes after it, until it waits for the
+        next turn."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -567,7 +594,8 @@ class SerialMaster(MasterLink):
         if not (between and other.polls):
             other.demand_free()
             return
-        # From here on a response must fit its request: others are probably the other master's.
+        # From now on a response must fit its request; other responses are probably for the other
+        # master.
         self._other = other
 
     def _listen(self, listen_ns: int | None) -> OtherMaster:
@@ -591,7 +619,8 @@ class SerialMaster(MasterLink):
         while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
             self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
-        # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
+        # Once a request was sent, the shortest pause may have been an exception: wait for a longer
+        # one.
         most_ns = self._other.longest_pause_ns
         if self._turns:
             most_ns = round(self._other.greatest_pause_ns * RELIABLE)
@@ -620,6 +649,10 @@ class SerialMaster(MasterLink):
         until_ns = time.monotonic_ns() + time_ns
         while self._other is not None and time.monotonic_ns() < until_ns:
             self._overhear_other()
+
+    def _patience(self, wait_ns: int) -> Patience:
+        # The pause of another master ends, whether this process runs or not.
+        return Patience(wait_ns, SLICE_NS if self._other is None else wait_ns)
 
     def _overhear_other(self) -> None:
         assert self._other is not None
@@ -658,7 +691,7 @@ class SerialMaster(MasterLink):
         return has_missed
 
     def _note_intrusion(self, event: Adu | Skipped) -> None:
-        """While a request of ours is pending, note bytes of others. Few bytes are noise, and a
+        """While a request of this program is pending, note other bytes. Few bytes are noise, and a
         frame of the unit asked is probably a late answer.
         """
         if self._other is None or self._pending is None:
@@ -692,7 +725,7 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # A process that gets no processor also sees bytes that came after its wait was over.
+        # If this process had to wait for a processor, bytes may have come after the wait was over.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

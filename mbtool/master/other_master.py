@@ -1,27 +1,29 @@
 """Finds out if another master asks on a serial line, and when it pauses."""
 
-# Bytes go through the splitter of a line that is only heard (serial_line), which says which frames
-# are requests. Each different request is a poll of the other master.
+# Bytes go through the splitter of a line on which nothing is sent (serial_line); it finds out which
+# frames are requests. Each different request is a poll of the other master.
 #
 # After a response the other master leaves the line silent until its next request. The shortest of
-# the last MAX_PAUSES silences that were heard behind a poll is the pause that one can rely on, once
-# LEAST_SEEN were heard. If the splitter decides late that a response was whole, less of the pause
-# is left, and nothing is sent in it.
+# the last MAX_PAUSES silences after a poll counts as its certain pause, once LEAST_SEEN were
+# measured. If the splitter decides late that a response was whole, less of the pause is left, and
+# nothing is sent in it.
 #
-# A pause also ends where a poll with a steady period is due: a master that asks at fixed times
-# pauses less after a slow answer, and a poll of a timer of its own may fall into any pause. A poll
-# whose time has come and that was not heard is awaited, as it may come at any moment.
+# A pause also ends when a poll with a steady period is due: a master that polls at fixed times
+# pauses less after a slow answer, and a poll with a timer of its own may fall into any pause. If a
+# poll is due and was not heard yet, nothing is sent until it comes, or until it counts as stopped
+# (_STOPPED).
 #
-# A unit that did not answer in time may answer late, and its answer would be taken for that to a
-# request of ours. So it is asked again only when it has answered two polls in a row as it should.
+# If a unit did not answer in time, its late answer could be taken for the answer to a request of
+# this program. So this program asks the unit again only when the unit has answered two polls of the
+# other master in a row.
 #
-# The time of bytes is in doubt in two cases: they were there already when a read began, so they
+# The time of bytes is uncertain in two cases: the bytes were there before a read began, so they
 # came at any time since the read before; or this process had to wait for a processor. Bytes whose
-# time is in doubt by more than MOST_DOUBT_NS are not used to measure a pause or a period, as pauses
-# would seem far too short.
+# time is uncertain by more than MOST_DOUBT_NS are not used to measure a pause or a period, because
+# pauses would seem far too short.
 #
-# If other bytes come during our own exchange, the pause was shorter than it seemed, and this is
-# noted, too.
+# If other bytes come while a request of this program is pending, the pause was shorter than it
+# seemed. This is noted, too.
 #
 # Memory: at most MAX_POLLS different requests with MAX_PAUSES pauses each, MAX_DOUBTS spans of
 # time, and what the splitter holds.
@@ -163,7 +165,7 @@ class OtherMaster:
         self._answered: tuple[HeardPoll, int] | None = None
         """The poll whose response was the last frame, and the end of that frame in ns."""
         self._used: tuple[HeardPoll, int] | None = None
-        """The same of the pause in which our last request was sent."""
+        """The poll before the pause that this program used last, and its response's end (ns)."""
         self._owed: dict[int, int] = {}
         """For each unit that left a request of the other master without its answer: so many polls
         of it must be answered before a late answer counts as lost."""
@@ -270,12 +272,12 @@ class OtherMaster:
 
     @property
     def longest_pause_ns(self) -> int:
-        """The longest pause, in ns, that one can rely on; 0 if there is none."""
+        """The longest pause of a poll, in ns, that is certain (`pause_ns`); 0 if there is none."""
         return max((one.pause_ns for one in self.polls.values()), default=0)
 
     @property
     def greatest_pause_ns(self) -> int:
-        """The longest pause, in ns, that was heard lately; 0 if there is none."""
+        """The longest pause, in ns, among the last pauses of all polls; 0 if there is none."""
         return max((max(one.pauses, default=0) for one in self.polls.values()), default=0)
 
     def latency_ns(self, unit: int) -> int | None:
@@ -292,13 +294,13 @@ class OtherMaster:
             one.is_followed = False
 
     def note_our_request(self) -> None:
-        """Note that a request of ours fills the present pause, so that no other one is sent."""
+        """Note that a request of this program fills the pause, so that no other is sent."""
         self._used = self._answered
         self._answered = self._asked = None
 
     def note_intrusion(self, at_ns: int, doubt_ns: int = 0) -> None:
         """Note that somebody else began to speak at `at_ns`, or at most `doubt_ns` ns later, while
-        our request was pending: the pause was shorter than it seemed.
+        a request of this program was pending: the pause was shorter than it seemed.
         """
         if self._used is not None:
             poll, end_ns = self._used
@@ -308,7 +310,7 @@ class OtherMaster:
         self.listen_anew(at_ns)
 
     def demand_free(self) -> None:
-        """Raise LinkError if somebody else speaks on the line; its text says who asks what."""
+        """Raise LinkError if another program sends on the line; the text names its requests."""
         listened = duration(self.listened_ns)
         if self.polls:
             often = sorted(self.polls.values(), key=lambda one: -one.times)

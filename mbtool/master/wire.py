@@ -1,9 +1,9 @@
 """Sends any bytes to a slave, right or wrong, and returns the bytes that come back."""
 
-# A test bench needs bytes that a master never sends: a wrong CRC, half an ADU, two at once. What
-# comes back ends with a silence on a serial line, and on TCP with the last of the ADUs that were
-# awaited, the end of the connection, or the timeout. A pause inside an answer is only noted if the
-# port was watched when it began, so that a busy machine makes none.
+# A test needs bytes that a master never sends: a wrong CRC, half an ADU, two ADUs at once. The
+# returned bytes end with a silence on a serial line. On TCP they end with the last expected ADU,
+# the end of the connection, or the timeout. Time in which this process got no processor is not
+# counted (Patience), so that on a busy machine no answer is late and no pause is inside one.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS
-from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
+from mbtool.master.links import CONNECT_S, READ_BYTES, Patience, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import (
     CRC_BYTES,
@@ -100,10 +100,11 @@ class Wire(ABC):
         """
 
     @abstractmethod
-    def hear(self, wait_ns: int) -> Heard:
+    def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
         """Return what comes without a request, for at most `wait_ns` ns until its first byte.
 
-        Raises LinkError if the link is lost.
+        `since_ns` is the time of the monotonic clock (ns) from which the time to its first byte is
+        measured; None for now. Raises LinkError if the link is lost.
         """
 
     @abstractmethod
@@ -174,29 +175,29 @@ class SerialWire(Wire):
                 time.sleep(max(end_ns + pause_ns - time.monotonic_ns(), 0) / SECOND_NS)
             taken_ns = self._master.send_bytes(piece)
             made_ns = max(made_ns, taken_ns - end_ns) if number else 0
-            # A virtual line says at once that all bytes have left, and carries them afterwards.
+            # A virtual line reports at once that all bytes were sent, and carries them afterwards.
             on_line_ns = len(piece) * self._format.character_ns
             end_ns = max(taken_ns + on_line_ns, time.monotonic_ns())
         return self.hear(self._wait_ns(awaited))._replace(made_pause_ns=made_ns)
 
-    def hear(self, wait_ns: int) -> Heard:
-        sent_ns = looked_ns = time.monotonic_ns()
+    def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
+        begin_ns = time.monotonic_ns()
         raw, first_ns, longest_ns = b"", 0, 0
-        until_ns = sent_ns + wait_ns
-        last_ns = until_ns + _REST_NS + MAX_ASCII_ADU * self._format.character_ns
-        while looked_ns < min(until_ns, last_ns):
-            data, _ = self._master.overhear(until_ns - looked_ns)
-            now_ns = time.monotonic_ns()
+        patience = Patience(wait_ns)
+        whole = Patience(wait_ns + _REST_NS + MAX_ASCII_ADU * self._format.character_ns)
+        while whole.next_ns() > 0 and (slice_ns := patience.next_ns()) > 0:
+            data, _ = self._master.overhear(slice_ns)
             if data:
-                longest_ns = max(longest_ns, now_ns - looked_ns) if raw else 0
-                first_ns = first_ns or now_ns
+                patience.next_ns()
+                longest_ns = max(longest_ns, patience.waited_ns) if raw else 0
+                first_ns = first_ns or time.monotonic_ns()
                 raw += data
-                until_ns = now_ns + (self._gap_ns if self._adus(raw) else _REST_NS)
-            looked_ns = now_ns
+                patience = Patience(self._gap_ns if self._adus(raw) else _REST_NS)
+        after_ns = first_ns - (begin_ns if since_ns is None else since_ns) if first_ns else 0
         return Heard(
             raw,
             self._adus(raw),
-            first_ns - sent_ns if first_ns else 0,
+            after_ns,
             rest=raw.rpartition(_ASCII_END)[2] if self._master.link.ascii else b"",
             longest_pause_ns=longest_ns,
         )
@@ -306,27 +307,28 @@ class TcpWire(Wire):
             return Heard(b"", (), 0, is_closed=True, was_closed=was_closed)
         return self._heard(self._wait_ns(awaited), awaited, was_closed=was_closed)
 
-    def hear(self, wait_ns: int) -> Heard:
-        return self._heard(wait_ns, 1)
+    def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
+        return self._heard(wait_ns, 1, since_ns=since_ns)
 
-    def _heard(self, wait_ns: int, awaited: int, *, was_closed: bool = False) -> Heard:
+    def _heard(
+        self, wait_ns: int, awaited: int, *, was_closed: bool = False, since_ns: int | None = None
+    ) -> Heard:
         raw, first_ns, is_closed = b"", 0, self._socket is None
-        sent_ns = time.monotonic_ns()
-        until_ns = sent_ns + wait_ns
+        sent_ns = time.monotonic_ns() if since_ns is None else since_ns
+        patience = Patience(wait_ns)
         try:
             while (not awaited or len(self._adus(raw)) < awaited) and self._socket is not None:
-                rest_ns = until_ns - time.monotonic_ns()
-                if rest_ns <= 0:
+                slice_ns = patience.next_ns()
+                if slice_ns <= 0:
                     break
-                self._socket.settimeout(rest_ns / SECOND_NS)
+                if not select.select([self._socket], [], [], slice_ns / SECOND_NS)[0]:
+                    continue
                 data = self._socket.recv(READ_BYTES)
                 first_ns = first_ns or time.monotonic_ns()
                 raw += data
                 if not data:
                     is_closed = True
                     self.close()
-        except TimeoutError:
-            pass
         except OSError:
             is_closed = True
             self.close()

@@ -4,14 +4,14 @@
 # object does three things, so that they always agree:
 #
 #     length(pdu)     finds the length of the whole PDU, from as few bytes as possible
-#     parse(pdu)      returns the fields by name, and a text on what is wrong with the form, if so
+#     parse(pdu)      returns the fields by name, and a text about the error if the form is wrong
 #     encode(fields)  returns the bytes after the function code
 #
 # Parsing returns as many fields as possible. From a PDU that is too short it returns the complete
 # fields; in a PDU that is too long it ignores the extra bytes. Encoding is strict: it raises
 # ValueError if a field is missing, or if a value has a wrong type or does not fit.
 #
-# The tails that consist of groups (file records, identification objects) are in group_layouts.py.
+# The tails that consist of groups (file records, identification objects) are at the end.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from functools import lru_cache
 from itertools import chain
 from typing import Protocol
 
-# Packs registers and bits into bytes, and unpacks them.
+# The functions below pack registers and bits into bytes, and unpack them.
 
 _BITS = [tuple(byte >> bit & 1 for bit in range(8)) for byte in range(256)]
 
@@ -409,7 +409,7 @@ def _integers(fields: Mapping[str, Value], name: str) -> Sequence[int]:
     raise ValueError(f"field {name!r} must be a sequence of integers")
 
 
-# Layouts of the parts of PDUs that consist of groups: file records, identification objects.
+# The layouts below are for PDUs that consist of groups: file records, identification objects.
 
 _FILE_REFERENCE = 6
 _HALF_GROUP = "its byte count does not end with a group"

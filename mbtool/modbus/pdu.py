@@ -9,7 +9,7 @@
 #     and_mask or_mask                16
 #     sub_function                    08
 #     status event_count data         07, 0B, 0C, 11
-#     groups                          14, 15: see group_layouts.FileGroups and FileResponses
+#     groups                          14, 15: see FileGroups and FileResponses in layouts.py
 #     fifo                            18: the count and the registers
 #     mei_type ... objects            2B
 #     exception_code                  every exception response

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbtool.core import WireEvent
     from mbtool.modbus.transaction import Transaction
 
-# Finds requests that have no answer because their response came with a wrong CRC or LRC.
+# DamagedAnswers finds requests whose response came with a wrong CRC or LRC.
 #
 # If the CRC or LRC of a frame is wrong, its unit id proves nothing. So the frame is taken for the
 # response to the request that was pending when it came. That request is known as soon as its

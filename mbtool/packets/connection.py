@@ -27,8 +27,8 @@
 #
 # Keep-alive probes, as the alive check of the FA3 modules sends them, repeat the byte before the
 # next expected one, or carry its sequence number and no byte (RFC 1122, 4.2.3.6). They are counted.
-# If the capture starts in the middle of a stream, and the byte behind a first single byte does not
-# come in time, that single byte is a probe too.
+# If the capture begins in the middle of a stream with a single byte, and the next byte does not
+# come in time, that single byte is a probe, too.
 #
 # Times. A byte has the time at which it and all bytes before it had been captured. So bytes that
 # waited for earlier bytes get the time of those earlier bytes.
@@ -119,7 +119,7 @@ class TcpConnection:
         """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._opened_ns = ts_ns
         self.wants_bytes = True
-        """False once the bytes of this connection are not wanted any more; only its end is told."""
+        """False once the bytes of this connection are not wanted; then only its end is reported."""
         self._has_acknowledged = False
         """True once a segment other than one that continues both streams in order had an
         acknowledgement."""
@@ -365,7 +365,11 @@ class TcpConnection:
             start = self._continue_at(sender, sequence)
         data, missing = segment.payload, segment.missing
         end = start + len(data)
-        receipt = other.receipt(segment.acknowledgement, WINDOW) if segment.flags & ACK else None
+        receipt = (
+            other.acknowledged_position(segment.acknowledgement, WINDOW)
+            if segment.flags & ACK
+            else None
+        )
         if data:
             piece = HeldBytes(start, end, data, acknowledged, ts_ns, arrival, receipt, origin)
             self._take_piece(sender, other, piece)

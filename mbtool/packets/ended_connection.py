@@ -34,9 +34,9 @@ def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> b
         return (known and not same) or (is_closed and not flags & ACK)
     if flags & RST or not (segment.payload or segment.missing):
         return False
-    # The segment has bytes, though the known connection has ended. If they are no retransmission,
-    # either the RST that ended that connection was a stray one, or the SYN of the next connection
-    # is not in the capture.
+    # The segment has bytes, though the known connection has ended. If these are no retransmission,
+    # a new connection has begun: either the RST did not belong to the old connection, or the
+    # capture lacks the SYN of the new one.
     size = len(segment.payload) + segment.missing
     return sender.is_new(segment.sequence, size, WINDOW)
 

@@ -11,7 +11,7 @@ back.
 # 10.0.0.L, port 20502; its slave UNIT is 10.0.L.UNIT, port 502. The UDP checksum is 0 (RFC 768:
 # none).
 #
-# Bytes that are no frame become packets of link type 250 (serial_packets.py) on another interface.
+# Bytes that are no frame become packets of link type 250 (RTAC_SERIAL) on another interface.
 #
 # These packets cannot hold everything, such as the times of single reads. The rest is written as
 # JSON into an option and a block for local use (pcapng: codes with the highest bit set, which other
@@ -71,8 +71,7 @@ if TYPE_CHECKING:
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
-"""Link types that are read as bytes of a serial line without being told: 147 (USER0),
-RTAC_SERIAL."""
+"""Link types that are always read as bytes of a serial line: 147 (USER0), RTAC_SERIAL."""
 USER_LINK_TYPES = frozenset(range(147, 163))
 """Link types (USER0 to USER15) that are free for any use. Those other than 147 are read as bytes of
 a serial line only if the user says so with --link."""

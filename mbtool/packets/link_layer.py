@@ -8,10 +8,11 @@
 # marked).
 #
 # PPP begins with its protocol, or with FF 03 before it (RFC 1662), and may leave out the first byte
-# of the protocol if that is 0. Cisco HDLC has an address, a control byte and an EtherType. A frame
-# of IEEE 802.11 with data has 24 bytes and more before LLC and SNAP, which end with an EtherType;
-# radiotap (radiotap.org) precedes it with the settings of the radio. What is not read of 802.11 is
-# encrypted, or packs several packets into one frame (A-MSDU).
+# of the protocol if that is 0. Cisco HDLC has an address, a control byte and an EtherType. An IEEE
+# 802.11 frame with data has 24 bytes or more before LLC and SNAP, which end with an EtherType. A
+# radiotap header (radiotap.org) with the settings of the radio may precede the 802.11 frame. Two
+# kinds of 802.11 frames are not read: encrypted ones, and those that contain several packets
+# (A-MSDU).
 
 from __future__ import annotations
 
@@ -190,7 +191,7 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
 276 Linux cooked, the others raw IP."""
 
 
-# The code below reads MAC addresses and VLAN in the header of the link layer.
+# The code below reads MAC addresses and VLAN ids in the header of the link layer.
 #
 # Ethernet begins with the receiver's and the sender's address. The cooked headers of Linux have the
 # sender's only: type 113 at byte 6, type 276 at byte 12, each in a field of 8 bytes, with the

@@ -181,7 +181,7 @@ class TcpReassembler:
             for key, one in known.items()
         )
 
-    def number_next(self, count: int) -> int:
+    def reserve_numbers(self, count: int) -> int:
         """Reserve numbers for `count` connections of the array decoder; return the first."""
         first = self._opened
         self._opened += count

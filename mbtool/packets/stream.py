@@ -307,7 +307,7 @@ class Stream:
         """
         return next((ts_ns for end, _, ts_ns in self._acknowledgements if end >= position), None)
 
-    def receipt(self, acknowledgement: int, window: int) -> int | None:
+    def acknowledged_position(self, acknowledgement: int, window: int) -> int | None:
         """Convert a raw ACK number to a position: the byte offset up to which it acknowledges.
 
         Returns None if sequence numbers of the stream are not known yet, or if the position is more

@@ -1,7 +1,7 @@
 """Finds the two ends of the TCP connection that a packet belongs to."""
 
 # Packets inside tunnels belong to the connection inside. A fragment without a TCP header belongs to
-# no connection here, as only reassembling would tell its ports.
+# no connection here, because its ports are only known after reassembly.
 
 from __future__ import annotations
 

@@ -4,16 +4,16 @@
 # port. If both ends have one, the slave is the end with the lower port; with equal ports it is the
 # destination of the first datagram.
 #
-# A network may deliver a datagram twice. The second copy is an event and no bytes of the flow, as
-# one request was sent, and one response. A copy has the bytes of an earlier datagram of its
-# direction, and its number in the IPv4 header, which a retry has not. Where there are no numbers
-# (IPv6, and senders that write 0), a request is a copy only if it comes at most COPY_NS later, in
-# which time no master repeats a request, and a response if no request came since the first one.
-# If flows are followed across interfaces (`across`), what another interface has captured of the
-# same datagram is dropped without an event.
+# A network may deliver a datagram twice. The second copy becomes an event, and its bytes are not
+# decoded, since only one message was sent. A datagram is a copy if an earlier datagram of its
+# direction has the same bytes and the same identification in the IPv4 header; a retry has another
+# identification. IPv6, and senders that write 0, have no identification. Then a request is a copy
+# if it comes at most COPY_NS after the first one, since no master repeats a request so soon. A
+# response is a copy if no request came since the first one. If flows are followed across interfaces
+# (`across`), a copy that another interface captured is dropped without an event.
 #
-# Limits: MAX_FLOWS flows are kept; above that, the least recently used one is forgotten. Of each
-# direction the digests of the last KEPT datagrams are kept for COPY_WITH_NUMBER_NS.
+# Limits: MAX_FLOWS flows are kept; above that, the least recently used one is forgotten. For each
+# direction, the digests of the last KEPT datagrams are kept for COPY_WITH_NUMBER_NS.
 
 from __future__ import annotations
 

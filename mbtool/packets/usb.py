@@ -16,9 +16,10 @@
 #                header length  id  status  function  info  bus  device  endpoint  transfer  length
 #                2              8   4       2         1     2    2       1         1         4
 #
-# Each transfer is there twice: as it is submitted to the bus and as it is completed. Data to a
-# device are in the submission, data from a device in the completion. A control transfer begins with
-# a setup of 8 bytes, which tells the request; USBPcap gives it as data of the submission.
+# A capture has each transfer twice: once when it is submitted to the bus, once when it is
+# completed. Data to a device are in the submission, data from a device in the completion. A control
+# transfer begins with 8 setup bytes, which have the request; USBPcap stores them as data of the
+# submission.
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""Finds out when bytes arrived that a process reads late, for lack of processor time."""
+"""Estimates when bytes arrived if the process, for lack of processor time, reads them late."""
 
-# For a TCP connection the kernel (Linux) notes when the segment with the last of the bytes arrived.
-# Other systems and TLS do not tell: there, bytes count as having arrived when they are read.
+# For a TCP connection, the kernel (Linux) notes when the segment with the last of the bytes
+# arrived. Other systems, and connections with TLS, do not give this time: there, the time of the
+# read counts.
 #
-# For a serial port nothing notes the arrival. But bytes that a read finds at once may have come
-# right after the read before, and bytes that a read waited for have come before its wait was over.
+# For a serial port, nothing notes the time. If a read finds bytes at once, they may have come right
+# after the read before. If a read has to wait for bytes, they came before its longest wait was
+# over.
 
 from __future__ import annotations
 

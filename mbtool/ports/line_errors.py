@@ -1,6 +1,6 @@
 """Reports the bytes of a serial line that the port's driver marks as damaged or counts as lost."""
 
-# A driver can report damaged bytes in two ways: by marks at single bytes (marks.py), and by error
+# A driver can report damaged bytes in two ways: by marks at single bytes (Unmarker), and by error
 # counters. Both are used, since neither is complete: some drivers count but set no marks, some set
 # marks but do not count, and lost bytes appear only in the counters.
 #
@@ -20,7 +20,7 @@ from mbtool.core.moments import counted
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-# Removes the terminal driver's marks from the bytes read, and returns which bytes were damaged.
+# Unmarker removes the driver's marks from the bytes read, and returns which bytes were damaged.
 #
 # With PARMRK set, the bytes that a read of a port returns have these marks (termios(3); Linux
 # drivers/tty/n_tty.c):

@@ -1,9 +1,9 @@
 """Serves one text over HTTP, such as metrics that a Prometheus server fetches."""
 
-# The server runs in threads of its own and only hands out the text that was set last, so whoever
-# fetches it, and how slowly, makes nobody wait. A connection ends after FETCH_S, whatever came by
-# then; at most MAX_FETCHING are served at once, and others are closed. Who may connect, and how
-# often, is decided as for a tap or a slave (tcp_listener.py).
+# The server runs in threads of its own and only returns the text that was set last. So a slow
+# client makes no other part of the program wait. A connection ends after FETCH_S in any case. At
+# most MAX_FETCHING requests are served at once; further ones are closed. The same rules as for a
+# tap or a slave (tcp_listener.py) decide which machines may connect, and how often.
 
 from __future__ import annotations
 

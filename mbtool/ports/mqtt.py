@@ -4,9 +4,9 @@
 # of one that was not sent yet, so that the broker gets the latest state. A thread of this module
 # takes them out, publishes each with QoS 1, and waits until the broker has confirmed it. So a slow
 # broker slows only this thread; while the broker is away, messages wait in the dictionary. paho has
-# another thread, which connects again by itself, and then sends again what was not confirmed.
-# A broker that was restarted may have lost the messages that it retained, so the latest one of each
-# topic is published again after each new connection.
+# another thread, which connects again by itself, and then sends unconfirmed messages again. A
+# broker that was restarted may have lost the messages that it retained, so the latest message of
+# each topic is published again after each new connection.
 #
 # Memory: MAX_WAITING messages that wait, and as many retained ones. Beyond that, the oldest one is
 # dropped, and counted if it has not been sent.

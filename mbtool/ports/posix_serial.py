@@ -15,8 +15,8 @@
 # one port take bytes from each other. The lock stops only programs that use flock, and ends with
 # the process. TIOCEXCL, which would stop every other program, is not used.
 #
-# The driver is asked to mark damaged bytes (marks.py), which pyserial cannot do. If it does not
-# support that, bytes are read without marks.
+# The driver is asked to mark damaged bytes (line_errors.py), which pyserial cannot do. If it does
+# not support that, bytes are read without marks.
 
 from __future__ import annotations
 

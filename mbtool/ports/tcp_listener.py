@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import TapLink
 
-# Limits for a listener: masters connected at once, new connections per second, idle time.
+# ConnectionLimits: masters connected at once, new connections per second, idle time.
 #
 # A connection that comes faster than the rate allows is reset. The rate is a bucket of tokens: a
 # burst of as many connections as may come in one second is accepted at once, then one for each
@@ -224,14 +224,14 @@ class TcpListener:
         Call this once for each connection: each call counts as one connection for the limit on the
         rate.
         """
-        stranger = self.stranger(host)
-        if stranger is not None:
-            return stranger
+        refusal = self.refusal_text(host)
+        if refusal is not None:
+            return refusal
         if not self._rate.admits(time.monotonic()):
             return f"more than {self._rate.per_second:g} connections a second; see --max-rate"
         return None
 
-    def stranger(self, host: str) -> str | None:
+    def refusal_text(self, host: str) -> str | None:
         """Return a text that says that no peer with this address may connect; None if it may."""
         return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 
@@ -293,7 +293,8 @@ class TcpListener:
         try:
             bound = socket.socket(self._family, self._kind)
             try:
-                # On Windows two programs could then share a port, and everywhere with UDP.
+                # With SO_REUSEADDR, two programs could share a port on Windows, and with UDP on
+                # every system.
                 if os.name == "posix" and not self._is_udp:
                     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 if self._family == socket.AF_INET6:

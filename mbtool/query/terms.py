@@ -339,5 +339,7 @@ def _other_fields() -> Iterator[Term]:
             yield _field(field.name)
 
 
+USUAL_NAMES = tuple(term.text for term in _TERMS)
+"""The names that messages list."""
 NAMES = {term.text: term for term in (*_TERMS, *_other_fields())}
 """The names that a --where expression can use, such as `unit`. docs/filters.md lists them."""

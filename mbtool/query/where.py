@@ -36,6 +36,7 @@ from mbtool.core.moments import parse_iso
 from mbtool.query.mistakes import find_mistake
 from mbtool.query.terms import (
     NAMES,
+    USUAL_NAMES,
     WRONG_CRC,
     Term,
     ValueKind,
@@ -260,7 +261,8 @@ class _Compiler:
                     near = difflib.get_close_matches(name, NAMES, n=1)
                     meant = f", did you mean {near[0]!r}?" if near else ";"
                     raise self._wrong(
-                        f"there is no {_short(name)!r}{meant} there are {', '.join(NAMES)}"
+                        f"there is no {_short(name)!r}{meant} there are {', '.join(USUAL_NAMES)}, "
+                        "and the other fields of --json with one number or text"
                     )
                 return NAMES[name]
             case ast.Subscript(

@@ -14,18 +14,19 @@
 #               function are one difference if their medians changed by about the same factor
 #               (ALIKE): it shows the times of the request that changed most, and names all requests
 #
-# For each slave's address, one more:
+# For the address of each slave, one more kind of difference is reported:
 #
 #     connection   a TCP connection was refused, or was ended by the slave or by a reset, in one
-#                  capture only. If both have the same number of connections, these are compared one
-#                  by one. If not, a kind is a difference if it is in one capture only, or if its
-#                  share of the connections differs significantly. Connections that the master
-#                  closed or that were open at the capture's end are of one kind, and so are those
-#                  that were open before the capture: a capture may begin later and end earlier
+#                  capture only. If both captures have the same number of connections, they are
+#                  compared one by one. Otherwise a kind of ending is a difference if it is in one
+#                  capture only, or if its share of the connections differs significantly. A capture
+#                  may begin later and end earlier than the other. So connections that the master
+#                  closed, that were open before the capture, or that were open at its end, are one
+#                  kind
 #
 # The significance level of a whole comparison is ALPHA; each test gets ALPHA divided by the number
-# of tests (Bonferroni). A shift of latencies must also be at least of medium size
-# (below), as with thousands of polls even a tiny shift is significant.
+# of tests (Bonferroni). A shift of latencies must also be of medium size at least (see the tests
+# below), because with thousands of polls even a tiny shift is significant.
 
 from __future__ import annotations
 
@@ -66,13 +67,13 @@ if TYPE_CHECKING:
 #     rank_sum    the Mann-Whitney U test with correction for ties, in its normal approximation. It
 #                 needs MIN_VALUES values on each side; with fewer the approximation is too rough,
 #                 and p is 1.
-#     same_share  Fisher's exact test, two-sided, for k of n against l of m.
+#     share_p_value  Fisher's exact test, two-sided, for k of n against l of m.
 #
 # With many values even a tiny shift is significant. So `rank_sum` also gives the probability that
 # a random value of sample b exceeds a random value of sample a (Vargha and Delaney's A): 0.5 means
 # no shift; at least 0.64, or at most 0.36, is at least a medium shift on their scale.
 #
-# Cost: rank_sum sorts all values; same_share sums at most k + l terms.
+# Cost: rank_sum sorts all values; share_p_value sums at most k + l terms.
 
 ALPHA = 0.01
 """The significance level of a whole comparison. Each of its tests gets ALPHA, divided by the number
@@ -127,7 +128,7 @@ def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
     return Shift(math.erfc(z / math.sqrt(2)), u / (n * m))
 
 
-def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
+def share_p_value(k: int, n: int, other_k: int, other_n: int) -> float:
     """Test whether two shares differ: k of n, and other_k of other_n. Returns the p-value.
 
     The p-value is the probability of a difference at least as great, if the true shares are equal.
@@ -183,7 +184,7 @@ def differences(
     ):
         one, other = slaves_a.get(key), slaves_b.get(key)
         if one is None or other is None:
-            if (a if one is None else b).has_all_slaves:  # Else it may have been left out.
+            if (a if one is None else b).has_all_slaves:  # Otherwise it may have been left out.
                 found.append(_only_slave(key, one, other))
             continue
         wording = DeviceWording.of_device(one.device or other.device, profiles)
@@ -240,7 +241,7 @@ def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[D
     kinds = sorted((counts[0].keys() | counts[1].keys()) - {_IN_ORDER})
     for kind in kinds:
         one, other = counts[0][kind], counts[1][kind]
-        p = same_share(one, len(a), other, len(b))
+        p = share_p_value(one, len(a), other, len(b))
         if not (one and other) or p < ALPHA / len(kinds):
             first = (a if kind in a else b).index(kind) + 1
             yield Difference(
@@ -353,7 +354,9 @@ class _SlaveComparison:
     def _outcomes(self, request: RequestKey) -> Iterator[Difference]:
         one, other = self._a.requests[request], self._b.requests[request]
         labels = (one.outcomes.keys() ^ other.outcomes.keys()) - {NO_ANSWER}
-        p = same_share(one.outcomes[NO_ANSWER], one.count, other.outcomes[NO_ANSWER], other.count)
+        p = share_p_value(
+            one.outcomes[NO_ANSWER], one.count, other.outcomes[NO_ANSWER], other.count
+        )
         if labels or p < self._alpha:
             yield self._difference(
                 request,

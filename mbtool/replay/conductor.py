@@ -17,10 +17,10 @@
 # After a broadcast it waits for `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200
 # ms).
 #
-# A step that opens or ends a TCP connection (ConnectionStep in script.py) waits likewise. While the
-# end of a connection by the slave is awaited, nothing else is done; after the time-out it counts as
-# not ended. At the speed `max` such a step also waits `rest_ns`, the recorded time since its cause,
-# such as the last refusal.
+# A step that opens or ends a TCP connection (ConnectionStep in script.py) waits in the same way.
+# While the conductor waits for the slave to end a connection, it sends nothing; after the time-out
+# the connection counts as not ended. At the speed `max`, a step that opens a connection also waits
+# `rest_ns`: the recorded time since its cause, such as the last refusal.
 #
 # While the clock is paused, only steps that `allow_step` permits are sent (the user presses the
 # step key); each of them moves the clock to the position of the step.
@@ -243,7 +243,7 @@ class Conductor:
         if self._awaited is not None:
             return True
         if isinstance(step, ConnectionStep) and step.action is Action.AWAIT_END:
-            return False  # It may be what ends the requests that are pending.
+            return False  # This end may be what ends the pending requests.
         if len(self._open) >= MAX_OPEN_REQUESTS or (self._limits.one_at_a_time and self._open):
             return True
         return any(

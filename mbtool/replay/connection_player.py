@@ -1,21 +1,22 @@
-"""Plays the connections of a recorded slave: which it takes, refuses and ends, and when."""
+"""Plays the connections of a recorded slave: accepts, refuses and ends them as recorded."""
 
-# The first live connection is the first one that was open in the recording, the second the second,
-# and so on. What the recorded slave did to a connection is done when what came before it has come
-# again:
+# The first live connection plays the first recorded connection, the second live one the second, and
+# so on. The recorded slave ended or refused connections. Each of these acts is played the recorded
+# time after its cause has occurred again:
 #
-#     it ended the connection     the recorded time after the latest of these: the connection's last
-#                                 request (or its beginning); another connection opened at most
-#                                 CAUSE_NS earlier (the slave made room for it); another one that
-#                                 the slave ended at most TOGETHER_NS earlier
-#     it refused connections      from the latest beginning or end of a connection before the first
-#                                 refusal, until halfway between the last refusal and the next
-#                                 connection that it took
+#     act                       cause
+#     it ended a connection     the latest of these: the last request of the connection (or its
+#                               beginning); the opening of another connection, at most CAUSE_NS
+#                               earlier (the slave made room for it); the end of another connection
+#                               by the slave, at most TOGETHER_NS earlier
+#     it refused connections    the latest beginning or end of a connection before the first
+#                               refusal; it refuses until halfway between the last refusal and the
+#                               next connection that it accepted
 #
-# A slave that answered no SYN cannot be played, as the system answers it: such a connection is
-# taken, and none of its requests has an answer. Refusals before the first connection are left out,
-# since nothing comes before them. When all recorded connections have been played, any other is
-# taken, or with `is_loop` they begin again.
+# A slave that did not answer a SYN cannot be played, because the system answers the SYN: such a
+# connection is accepted, and its requests get no answer. Refusals before the first connection are
+# left out, since they have no cause. When all recorded connections have been played, further ones
+# are accepted; with `is_loop` the recorded ones begin again.
 #
 # Recorded times are divided by `rate`. At the rate None (as fast as possible) these times stay as
 # they are: a slave that restarts does not become faster than it is.

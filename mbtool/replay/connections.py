@@ -1,8 +1,8 @@
 """The TCP connections of a recording: how each began and ended, and how much was asked on it."""
 
-# A connection is read from its OPENED and CLOSED events, and from the REFUSED event of a tap that
-# could not reach the slave. Its requests are those of its master's address and port between the
-# two.
+# A connection is read from its OPENED and CLOSED events, or from the REFUSED event of a tap that
+# could not reach the slave. Its requests are those that its master sent, from the same address and
+# port, between its opening and its end.
 #
 # Memory: one RecordedConnection for each connection of the recording.
 

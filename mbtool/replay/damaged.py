@@ -8,7 +8,7 @@
 #
 # If the recording is played on the same kind of line, the same bytes are sent. Between RTU and
 # ASCII, a response with a wrong checksum is sent with a wrong checksum, and an incomplete response
-# is left out. On Modbus/TCP, which has no checksum, both are left out.
+# is left out. On Modbus/TCP, which has no checksum, both kinds are left out.
 #
 # Only serial lines and RTU over TCP are examined: if part of a Modbus/TCP response is missing, the
 # capture itself may have lost it.

@@ -23,8 +23,8 @@
 # of a sample was at most 1.3 ms late, the fourth fastest up to 7.1 ms, the median 4 to 15 ms.
 #
 # The user can say by how much values may differ (tolerances.py), and name registers that may differ
-# in any way (`spans`). With `learns`, no register counts as a
-# difference; `learned` returns those that differed.
+# in any way (`spans`). With `learns`, no register counts as a difference; `learned` returns those
+# that differed.
 #
 # Memory grows with the number of different requests, not with their repetitions (limits as in
 # traffic.py). For one request, at most MAX_OUTCOMES different outcomes are kept, as responses with

@@ -81,7 +81,7 @@ class LiveWrites:
         writes = self._recorded_writes(unit, table, address, place)
         last = self._recording.timeline(unit, table).last_write(address, place.at_ns)
         if recorded == value == last:
-            writes -= 1  # As if before the recorded write: recorded values are shown.
+            writes -= 1  # Count it as that recorded write, which ends it.
         values[address] = _LiveValue(value, place, writes)
 
     def shown(self, unit: int, table: Table, address: int, recorded: int, place: Place) -> int:

@@ -5,11 +5,11 @@
 # requests that were still without a response then. So the player has as many requests pending at
 # once as the recorded master had. No step waits for a request that was never answered.
 #
-# If the recording has the TCP connections of the requests, each is opened and ended as recorded: a
-# ConnectionStep is the master's attempt to connect, its end by the master, or its end by the slave,
-# which the player waits for. Where the master tried again after a refusal or an end by the slave,
-# the recorded time between the two is kept also at the speed `max`: a slave that restarts does not
-# become faster.
+# If the recording has the TCP connections of the requests, each is opened and ended as recorded. A
+# ConnectionStep is one of three acts: the master tries to connect, the master ends a connection, or
+# the slave ends it (the player waits for this). If the master connected again after a refusal, or
+# after an end by the slave, the recorded time between the two is kept also at the speed `max`: a
+# slave that restarts does not become faster.
 #
 # Unsolicited responses have no request and are left out; a retry is a request like any other.
 #

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Defines the part of a recording that is played.
+# TimeRange is the part of a recording that is played.
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,12 +7,12 @@
 #     a range of registers    HR400010..400019 or holding 9..18: the points in it; a register of it
 #                             that is no point counts as a number from 0 to 65535
 #
-# and AMOUNT a number in the unit of the point (0.5), a share of the recorded value (2%), or the
-# word counter: then any value is right that is not below the one that this run read before; at the
-# end of its range a counter may begin again.
+# and AMOUNT is a number in the unit of the point (0.5), a share of the recorded value (2%), or the
+# word counter. With counter, any value is right that is not below the value read before in this
+# run; a counter may also begin again at the end of its range.
 #
-# If several texts are for a point, the last one counts. A point whose value cannot be read, such as
-# one whose scale stands in another register, must be as recorded.
+# If several texts are for one point, the last one counts. If a point cannot be decoded, for example
+# because its scale is in another register, its registers must be as recorded.
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ class Amount:
 
     def allows(self, recorded: float, answered: float) -> bool:
         limit = abs(recorded) * self.limit if self.is_share else self.limit
-        # 21.5 - 21.0 of decimal numbers may be a little more than 0.5.
+        # In binary, the difference of decimal numbers such as 21.5 - 21.0 may be a little too
+        # large.
         return abs(answered - recorded) <= limit * (1 + 1e-9)
 
 

@@ -21,7 +21,8 @@
 #     MAX_REGISTERS    registers of a slave
 #     MAX_SLAVES       slaves
 #
-# What exceeds one of these three is left out, and `compared` is less than `count`.
+# Requests, registers and slaves beyond their limit are left out; `compared` is then less than
+# `count`.
 
 from __future__ import annotations
 

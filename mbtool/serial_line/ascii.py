@@ -1,6 +1,6 @@
 """Cuts what one tap hears on a Modbus ASCII line into frames."""
 
-# A frame (ascii_frame.py) begins with a colon; a colon always begins a new frame. It ends with LF.
+# A frame (modbus/adu.py) begins with a colon; a colon always begins a new frame. It ends with LF.
 # It also ends with the character after its first CR, if that character is the line's delimiter or
 # if the LRC is correct there. And it ends with CR alone if a colon, a second of silence or the end
 # of the capture follows. A second of silence ends an incomplete frame (Serial Line V1.02, 2.5.2.1),

@@ -200,8 +200,7 @@ class BusModel:
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         cost = min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
-        # An adapter that waits for more bytes before it delivers those it has makes such a silence,
-        # too.
+        # An adapter that holds bytes back causes such a silence, too.
         may_be_adapter = state.unexplained_silence_ns <= LatencyStatistics.ADAPTER_TIMER_NS
         return cost / 2 if is_last and may_be_adapter else cost
 
@@ -226,7 +225,7 @@ class BusModel:
             if history.unasked and classification.by is DirectionBy.FORM:
                 history.unasked = 0
             if is_sure:
-                # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
+                # Ordinary polling teaches nothing here. Skipping it makes decoding 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
                     self._learn_from_outcome(unit, pdu, start_ns)
                 by_form = classification.by is DirectionBy.FORM or pdu[0] in WRITE_SEVERAL
@@ -321,8 +320,9 @@ class BusModel:
         ):
             is_slow = history.trusts_silences and latency_ns > _SLOW_NS
             went_on_ns = start_ns - (state.last_ns or start_ns)
-            # The frame before was the response or a retry. After a retry the master would have
-            # waited as long again. If it sent this request sooner, the frame was the response.
+            # The previous frame was the response or a retry. After a retry the master would have
+            # waited as long again before it sent this request. If it waited less, the frame was the
+            # response.
             is_response = went_on_ns < latency_ns * costs.SOONER
             if is_slow and (is_response or history.timeout.is_not_over(latency_ns)):
                 history.learn_echo(answered, latency_ns)
@@ -385,7 +385,7 @@ class BusModel:
         history, state = self.history, self.state
         if unit in history.answering or pdu[0] not in ECHOING:
             return False
-        if history.hears_wait(start_ns - (state.last_ns or 0)):
+        if history.shows_master_wait(start_ns - (state.last_ns or 0)):
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0
@@ -404,7 +404,7 @@ class BusModel:
             return False
         if unit not in history.answering or (unit, pdu[0]) in history.usual_echoes:
             return False
-        return not history.hears_wait(start_ns - pending.awaited_from_ns)
+        return not history.shows_master_wait(start_ns - pending.awaited_from_ns)
 
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame that equals the pending request may be a retry or a slow response.

@@ -1,11 +1,15 @@
 """Finds the whole, damaged and incomplete RTU frames that may begin at each undecided byte."""
 
 # A window is the bytes that one search explains. Each candidate has a cost in bits (costs.py).
-# Candidates are: frames with a correct CRC whose function tells their size (frames of a known
-# form); others whose end only the CRC or the silences tell (of unknown form); damaged frames; an
-# incomplete frame at the end of the window. Candidates whose cost does not depend on the bus state
-# are computed once for each offset. The work for one offset is bounded by the 256 bytes that a
-# frame can have.
+# There are four kinds:
+#
+#     frames of a known form     The function tells the length, and the CRC is correct.
+#     frames of unknown form     Only a correct CRC or a silence tells where the frame ends.
+#     damaged frames
+#     an incomplete frame        It ends with the window.
+#
+# If the cost of a candidate does not depend on the bus state, it is computed once for each offset.
+# The work for one offset is bounded by the 256 bytes that a frame can have.
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from mbtool.modbus.functions import EXCEPTION_BIT, READ_REGISTERS
 from mbtool.modbus.layouts import bit_bytes
 
-# Rules for PDUs of a correct form whose contents no master or slave sends, or hardly ever.
+# PDUs that have a correct form, but contents that no master or slave sends, or hardly ever.
 
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""
@@ -257,9 +257,9 @@ NOISE_LIMITS = (2.0, 9.0)
 MIN_NOISE_IN_WINDOW = 4.0
 """The least cost, in bits, of noise after a frame. Each group of skipped bytes makes the next group
 in the same search 1 bit cheaper, but not cheaper than this."""
-OFTEN_SKIPPED = 4.0
-"""If the learned cost, in bits, of skipped bytes or of noise is at most this, they are frequent on
-this line: before one frame in 16."""
+OFTEN_SKIPPED = 1 / 16
+"""If at least this share of frames (0 to 1) has skipped bytes before it, or noise, these are
+frequent on this line."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0

@@ -7,9 +7,10 @@
 # incomplete frame, and the search waits for the rest.
 #
 # Requests and responses of 05, 06, 08, 15H and 16H are equal. Without times, a frame that equals
-# the pending request is certainly the response if the frame behind it cannot be one. Equal frames
-# in a row, as of a master that writes one value in a loop, are pairs if they are many, or if the
-# frame behind the last one shows that their number is even.
+# the pending request is certainly the response if the next frame cannot be the response. A master
+# that writes one value in a loop causes many equal frames in a row. They are read as pairs of
+# request and response if they are many, or if the frame after the last one shows that their number
+# is even.
 
 from __future__ import annotations
 
@@ -89,8 +90,9 @@ class FastPath:
 
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
-        self._run_size -= removed
-        self._run_decided += removed
+        if self._run_size > 0:
+            self._run_size -= removed
+            self._run_decided += removed
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
         self._sizes = []
@@ -410,7 +412,8 @@ class FastPath:
         if self._model.state.last_ns is None:
             return False  # The frames behind the first one of a capture tell its direction.
         if self._model.history.trusts_silences:
-            # An equal frame right behind may be the response, and this one a retry.
+            # If an equal frame follows at once, that frame may be the response and this one a
+            # retry.
             behind = head[size : 2 * size]
             is_repeated = behind and head.startswith(behind)
             is_response = classified.direction is Direction.RESPONSE

@@ -89,7 +89,8 @@ def _request_cost(
     if pending is None:
         return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     is_rewrite = not is_retry and pdu[0] in ECHOING and pending.has_address_of(unit, pdu)
-    # A rewrite may be a wrong echo: it does not tell that the unit is absent.
+    # A frame that writes another value to the same address may be the response with a wrong value.
+    # So it does not show that the unit is absent.
     silent = history.unanswered_bits(unit) if is_rewrite else history.silent_bits(state, pending)
     if not is_retry:
         cost += max(history.no_answer.bits - silent, costs.MIN_UNANSWERED)
@@ -143,7 +144,7 @@ def _early_cost(
     if not history.trusts_silences:
         return 0.0
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
-    if waited_ns <= 0 and not history.hears_wait(waited_ns):
+    if waited_ns <= 0 and not history.shows_master_wait(waited_ns):
         return 0.0  # The frames were merged, and nothing tells how long the master waited.
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         is_whole = is_retry and pending.pdu[0] in WRITE_SEVERAL and not history.timeout.is_known
@@ -298,7 +299,7 @@ def _lateness_cost(
         return min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
     most, timeout = costs.MAX_ECHO_LATENESS, history.timeout
     if timeout.is_known:
-        share = timeout.share_over(silence_ns)
+        share = timeout.over_probability(silence_ns)
         if share >= 1.0 and latency.doublings_late(silence_ns) > costs.NEAR_DOUBLINGS:
             return costs.MAX_ECHO_LATENESS
         if share > 0.0:

@@ -48,6 +48,9 @@ class LineHistory:
         self.merges_briefly = False
         """True if the adapter merges frames, but never for so long that a request and its retry
         come as one burst."""
+        self.may_merge_long = False
+        """True if the adapter merges frames, and may hold bytes back for so long: then a silence
+        before a frame may be the adapter's."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -112,7 +115,7 @@ class LineHistory:
         unit, begin = head[0], head[1:]
         return any(pdu.startswith(begin[: len(pdu)]) for one, pdu in self.requests if one == unit)
 
-    def hears_wait(self, waited_ns: int) -> bool:
+    def shows_master_wait(self, waited_ns: int) -> bool:
         """True if `waited_ns` between two frames tells how long the master waited.
 
         If it is 0, an adapter has merged the two, and may have held them back for long.
@@ -130,7 +133,9 @@ class LineHistory:
             return None
         if self.timeout.is_known:
             return self.timeout.is_not_over(waited_ns)
-        return waited_ns < LatencyStatistics.MIN_RETRY_NS
+        if waited_ns < LatencyStatistics.MIN_RETRY_NS:
+            return True
+        return None if self.may_merge_long else False
 
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
         """The cost, in bits, of supposing that a unit answers `pending` after it was silent lately.
@@ -182,14 +187,14 @@ class LineHistory:
             known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
             self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
             self.pauses += 1
-        if by_form:  # If not, it may be a response taken for a retry.
+        if by_form:  # Otherwise the frame may be a response.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)
             if is_retry or not self.retry.is_at_rest:
                 self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
                 waited_ns = start_ns - pending.awaited_from_ns
-                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Sooner: an adapter's copy.
+                if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # An earlier one is a copy.
                     self.timeout.learn(waited_ns)
 
     def learn_latency(

@@ -6,7 +6,7 @@ from math import inf, log2
 
 from mbtool.serial_line import costs
 
-# Learns if an adapter may merge a request and its retry into one burst of bytes.
+# BurstStatistics learns if an adapter may merge a request and its retry into one burst of bytes.
 #
 # A burst is the bytes from one silence of t3.5 to the next. An adapter or a program that holds
 # bytes back for up to 255 ms delivers a request and its retry as one burst, like a request and its
@@ -230,9 +230,9 @@ class LatencyStatistics:
         """
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
-            # Until ENOUGH_RESPONSES responses were heard, the longest response time counts as
-            # longer: as INITIAL_NS before the first response, and with each response it comes
-            # nearer, by the same factor, to the longest one heard.
+            # Before the first response, the longest response time is taken as INITIAL_NS. Each
+            # response brings this value nearer to the longest time measured, by the same factor.
+            # After ENOUGH_RESPONSES responses only the measured time counts.
             missing = 1 - self._heard / self.ENOUGH_RESPONSES
             longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

@@ -2,8 +2,8 @@
 
 # A path is a linked list of segments: each path knows its last segment and the path before it, so
 # that paths share their common beginning. Of the paths that reach the same offset in the same bus
-# state, the cheapest goes on. Those that cost almost as little stay with it as rivals; they lower
-# the confidence of the segments that they do not contain.
+# state, the cheapest is continued. Paths that cost almost as little are kept with it as rivals;
+# they lower the confidence of the segments that they do not contain.
 
 from __future__ import annotations
 

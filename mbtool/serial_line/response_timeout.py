@@ -1,9 +1,8 @@
 """The master's response timeout on a serial line: given by the user, or learned from retries."""
 
-# A write of one value equals its response, so by its form a second one may be a retry or the
-# response. A read that comes twice can only be a retry. A master waits as long before it retries a
-# write as before it retries a read, so the retries of reads tell how long a silence before a retry
-# is.
+# A write of one value equals its response, so a second equal frame may be the response or a retry.
+# A read that comes twice can only be a retry. A master waits as long before it retries a write as
+# before it retries a read. So the retries of reads show the master's response timeout.
 #
 # Memory: at most SAMPLES waits (times from a request to its retry).
 
@@ -14,8 +13,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-# Finds the silences between bytes, by the times (ns) at which the bytes ended.
 
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:
@@ -105,7 +102,7 @@ class ResponseTimeout:
         """True if the timeout is known and the master is still waiting after `wait_ns`."""
         return wait_ns < self._running_until_ns
 
-    def share_over(self, wait_ns: int) -> float:
+    def over_probability(self, wait_ns: int) -> float:
         """Return how sure it is, from 0 to 1, that the timeout is over after `wait_ns`.
 
         The result is 0 if the timeout is unknown. It is also 0 for waits longer than those after

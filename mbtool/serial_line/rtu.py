@@ -10,7 +10,8 @@
 #    incomplete frame stay too if only its end can make their meaning certain, but for at most
 #    MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
-#    bytes are returned, and of these the frames that every explanation contains.
+#    bytes are returned. Frames in the last 256 bytes are returned if every explanation of the
+#    window contains them.
 #
 # A search stops at a frame behind which only one explanation is left, and the fast path goes on
 # there. So its work grows with the number of unclear places, not with the number of bytes.
@@ -19,6 +20,7 @@
 # of the last one, a character time apart. The output depends on these times only, not on how the
 # bytes were divided into reads. When the clock was set back, all buffered bytes are returned; a
 # step back of at most MAX_BACK_NS is a wrong time of a read.
+#
 # Memory: less than WINDOW bytes.
 
 from __future__ import annotations
@@ -73,6 +75,8 @@ from mbtool.serial_line.response_timeout import last_silence, longest_silence_ns
 from mbtool.serial_line.search import PathSearch
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.core import SerialFormat
 
 WINDOW = 512
@@ -183,7 +187,7 @@ class RtuSplitter:
         if not size:
             return events
         first_ns = ts_ns - (size - 1) * step_ns
-        # The usual case, first because it is quick: more bytes of a frame that is not complete yet.
+        # Test the usual case first, because the test is quick: more bytes of an incomplete frame.
         if (
             times
             and 0 <= first_ns - times[-1] < self._silent_ns
@@ -193,12 +197,13 @@ class RtuSplitter:
             times += (ts_ns,) if size == 1 else range(first_ns, ts_ns + 1, step_ns)
             return events
         last_ns = times[-1] if times else self._last_end and self._last_end[0]
-        if last_ns is not None and ts_ns < last_ns <= ts_ns + MAX_BACK_NS:
-            self.has_disorder = True
-            first_ns = last_ns + step_ns
-        if last_ns is not None and first_ns + (size - 1) * step_ns < last_ns:
-            events += self._restart()
-        elif times:
+        if last_ns is not None and ts_ns < last_ns:
+            if last_ns <= ts_ns + MAX_BACK_NS:
+                self.has_disorder = True
+                first_ns = last_ns + step_ns
+            else:
+                events += self._restart()
+        if times:
             silence_ns = first_ns - step_ns - times[-1]
             if silence_ns >= self._t3_5_ns:
                 self._hear_silence(events, silence_ns)
@@ -244,8 +249,8 @@ class RtuSplitter:
 
     def _hear_silence(self, events: list[Adu | Skipped], silence_ns: int) -> None:
         """Decide what the buffered bytes are; an incomplete frame waits if the silence is short."""
-        is_held = self._model.holds_first_frame and silence_ns < HOLD_NS
-        if is_held and self._is_first_alone():
+        may_hold = self._last_end is None and silence_ns < HOLD_NS
+        if may_hold and self._model.holds_first_frame and self._is_first_alone():
             return
         if len(self._data) > self._decided_size:
             self._silence_count += 1
@@ -284,6 +289,7 @@ class RtuSplitter:
             and (
                 self._copies.awaits(self._data)
                 or self._fast_path.is_incomplete(self._data, self._silences_at)
+                or self._is_due_behind_noise()
             )
         ):
             if not self._search(events, may_continue=may_continue, must_decide=must_decide):
@@ -293,20 +299,21 @@ class RtuSplitter:
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Append frames while the fast path is certain; `burst_over`: a silence follows `_data`."""
+        copies = self._copies
         while len(self._data) >= MIN_FRAME:
-            last = self._copies.last
+            last = copies.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
-            last = self._copies.last_response
+            last = copies.last_response
             if last and self._data.startswith(last) and self._take_repeated(events):
                 continue
-            if self._copies.repeats and (size := doubled_size(self._data, self._roles)):
+            if copies.repeats and (size := doubled_size(self._data, self._roles)):
                 self._emit_frame(size, self._classified_alone(size), events)
                 continue
-            copied = self._copies.copied
+            copied = copies.copied
             if copied and self._may_be_copied(len(copied)):
-                have = self._copies.copied_size(self._data)
-                if have >= 2 * len(copied):  # Only what the master sends is copied: it is a retry.
+                have = copies.copied_size(self._data)
+                if have >= 2 * len(copied):  # Only requests are copied, so it is a retry.
                     self._emit_frame(len(copied), _COPIED_RETRY, events)
                     continue
                 if have == len(self._data) and not burst_over:
@@ -320,26 +327,49 @@ class RtuSplitter:
                 self._emit_skipped(behind.skipped, events)
                 frame = behind.frame
             self._emit_frame(*frame, events)
-            self._count_doubt(is_clear=True)
+            if self._doubtful:
+                self._doubtful -= 1
 
     def _frame_behind_noise(self, burst_over: bool) -> _BehindNoise | None:
         """Find a certain frame that follows the last one closely, with stray bytes between the two.
 
         The stray bytes are fewer than LONG_SKIP, and this line has such bytes often.
         """
-        data, statistics = self._data, self._statistics
-        if self._is_behind_noise or self._last_end is None or len(self._model.states) > 1:
-            return None
-        for size in range(1, min(LONG_SKIP, len(data) - MIN_FRAME)):
-            learned = statistics.noise if NOISE.issuperset(data[:size]) else statistics.skip
-            if learned.bits > costs.OFTEN_SKIPPED or not self._is_no_frame(data[size - 1 :]):
+        data, times = self._data, self._times
+        for size in self._often_skipped(len(data) - MIN_FRAME):
+            if not self._is_no_frame(data[size - 1 :]):
                 return None
-            start_ns = self._times[size] - self._character_ns
+            start_ns = times[size] - self._character_ns
             self._behind_noise.restart(0, behind_noise=True)
             frame = self._behind_noise.frame(data[size:], start_ns, burst_over)
             if frame is not None:
                 return _BehindNoise(size, frame)
         return None
+
+    def _is_due_behind_noise(self) -> bool:
+        """True if the buffered bytes are stray ones and certainly the beginning of the frame that
+        is due, on a line that has such bytes often.
+        """
+        for size in self._often_skipped(len(self._data) - 1):
+            self._behind_noise.restart(0, behind_noise=True)
+            if self._behind_noise.is_incomplete(self._data[size:], ()):
+                return True
+        return False
+
+    def _often_skipped(self, end: int) -> Iterator[int]:
+        """Give the numbers below `end` of bytes at the front that may be stray ones between two
+        frames, as this line has often.
+        """
+        noise, skip = self._statistics.noise, self._statistics.skip
+        if noise.frequency < costs.OFTEN_SKIPPED and skip.frequency < costs.OFTEN_SKIPPED:
+            return
+        if self._is_behind_noise or self._last_end is None or len(self._model.states) > 1:
+            return
+        for size in range(1, min(LONG_SKIP, end)):
+            learned = noise if NOISE.issuperset(self._data[:size]) else skip
+            if learned.frequency < costs.OFTEN_SKIPPED:
+                return
+            yield size
 
     def _is_no_frame(self, data: bytes) -> bool:
         """True if no frame that this line could expect begins with the bytes."""
@@ -441,7 +471,8 @@ class RtuSplitter:
             if segment.kind is SegmentKind.FRAME:
                 classified = self._classified(segment)
                 is_clear = classified.confidence >= NO_RIVAL_CONFIDENCE
-                self._count_doubt(is_clear=is_clear)
+                doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
+                self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
                 if is_narrow:
                     self._is_lost |= not is_clear
                     classified = replace(classified, is_final=True)
@@ -455,11 +486,6 @@ class RtuSplitter:
                 if size >= LONG_SKIP:
                     self._hear_damage(segment, start_ns, end_ns)
         return True
-
-    def _count_doubt(self, *, is_clear: bool) -> None:
-        """Count one more frame, beyond doubt or not."""
-        doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
-        self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
         """Learn from skipped or damaged bytes, and compute the possible bus states after them."""
@@ -496,8 +522,9 @@ class RtuSplitter:
         is_even = end_ns - start_ns == size * self._character_ns
         longest_ns = 0 if is_even else longest_silence_ns(times, size, self._character_ns)
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
-        self._is_lost &= classification.by not in CERTAIN_BY
-        if self._is_lost or self._is_first_alone():
+        if self._is_lost and classification.by in CERTAIN_BY:
+            self._is_lost = False
+        if self._is_lost or (self._last_end is None and self._is_first_alone()):
             confidence = min(confidence, UNSURE)
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
@@ -512,7 +539,7 @@ class RtuSplitter:
             waited_ns = before_ns or 0
             if (
                 self._copies.copied
-                and not model.history.hears_wait(waited_ns)
+                and not model.history.shows_master_wait(waited_ns)
                 and self._copies.may_copy_retry(raw, self._data[size:])
             ):
                 confidence = min(confidence, UNSURE)
@@ -537,7 +564,7 @@ class RtuSplitter:
                 is_soon = copies.last == raw and self._is_soon(before_ns)
                 copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                # Where only slaves are heard, equal responses are no copies of a repeater.
+                # If only slaves are heard, equal responses are not a repeater's copies.
                 is_only = self._model.history.hears_only_slaves
                 is_certain = pdu[0] not in ECHOING and not is_only
                 self._copies.hear_response(raw, is_certain=is_certain)
@@ -585,9 +612,10 @@ class RtuSplitter:
                 if before_ns == 0 or bursts.has_merged:
                     cut = last_silence(self._times, size, self._silent_ns) if is_split else size
                     bursts.hear_frame(before_ns, size, cut, is_glued=is_glued)
+                    self._model.history.merges_briefly = bursts.merges_briefly
+                    self._model.history.may_merge_long = not bursts.merges_briefly
                 is_trusted = glue.frequency <= MAX_GLUED and not bursts.may_merge_retry
                 self._model.history.trusts_silences = is_trusted
-                self._model.history.merges_briefly = bursts.merges_briefly
             if is_split or not statistics.split.is_at_rest:
                 statistics.split.learn(is_split)
 

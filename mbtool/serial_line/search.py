@@ -11,9 +11,12 @@
 # costs.BEAM_MARGIN bits more than a path of the same or a greater length. So on a good line the
 # search goes from frame to frame, and looks at every byte only where something is wrong. Its work
 # is bounded: at most BEAM_WIDTH paths at an offset, about 20 segments for each, and 256 bytes to
-# read for each segment. The slowest input found, random bytes with a silence after each, takes the
-# search to 5,500 bytes/s on a slow core, and a line delivers at most 540 bytes/s with 1.75 ms after
-# each byte. Random bytes in bursts of 32 give 8,000 bytes/s; a line of 115200 baud delivers 6,700.
+# read for each segment.
+#
+# Speed, measured on a slow core. The slowest input found is random bytes with a silence after each:
+# the search decodes 5,500 bytes/s, and a line with 1.75 ms after each byte delivers at most
+# 540 bytes/s. Of random bytes in bursts of 32 it decodes 8,000 bytes/s, and a line of 115200 baud
+# delivers 6,700.
 
 from __future__ import annotations
 
@@ -341,13 +344,13 @@ class PathSearch:
         expected, cost = found
         size = self._end - offset
         is_likely = path.ends_frame or self._window.silences[offset] or cost < 0.0
-        if path.is_noise and path.skipped < LONG_SKIP:  # As receivers hear it behind each frame.
+        if path.is_noise and path.skipped < LONG_SKIP:  # Receivers may hear noise after each frame.
             is_likely |= self._data[offset] in self._model.history.units
         cost += before
         if is_frame:
             cost += costs.INCOMPLETE_DUE_OVER_FRAME if expected else costs.INCOMPLETE_OVER_FRAME
         if path.skipped and not path.is_noise and not is_likely:
-            return  # To skip these bytes, too, costs less.
+            return  # Skipping these bytes as well costs less.
         is_zero = size == 1 and self._data[offset] == 0  # Noise, or the end of the frame before.
         if is_likely and not is_zero:
             cost += costs.INCOMPLETE_IN_PLACE
@@ -416,7 +419,7 @@ class PathSearch:
         elif is_noise:
             learned = self._statistics.noise.bits
             cost = min(learned, max(learned - path.runs, costs.MIN_NOISE_IN_WINDOW))
-        else:  # Noise, and other bytes after it, are two separate faults.
+        else:  # Noise and the bytes after it are two faults.
             cost = max(self._statistics.skip.bits - path.runs, costs.SKIP_LIMITS[0])
         if is_frame:
             cost += costs.CRC_COINCIDENCE

@@ -2,12 +2,13 @@
 
 # A file is recognised by its first bytes, not by its name: first the compression, then the kind of
 # capture inside. An uncompressed file keeps its seekable stream, which the reader of a log may
-# need. Any other text is searched for Modbus frames (text_log.py). If the user gives the settings
-# of a serial line, a file of no known kind is taken as the bytes of that line, or, if it is a text
-# of nothing but hexadecimal digits, as these bytes. On an ASCII line the bytes themselves are text;
-# so for such a line, a text counts as hexadecimal only if it has no colon and its digits are in
-# separate pairs. A byte order mark before a text is skipped, and so are the zeros before a text
-# log, which a file system leaves at a loss of power.
+# need. A text of no known kind is searched for Modbus frames (text_log.py).
+#
+# If the user gives the settings of a serial line, a file of no known kind is taken as the bytes of
+# that line. A text that has only hexadecimal digits is decoded to these bytes first. On an ASCII
+# line the bytes themselves are text; so for such a line, a text counts as hexadecimal only if it
+# has no colon and its digits are in separate pairs. A byte order mark before a text is skipped. The
+# zeros before a text log, which a file system leaves at a loss of power, are skipped, too.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
 # (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). A small file cannot cost

@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 # The outbox delays the chunks and events of a relay by a few ms, so that decoding a request does
 # not delay the response. Without a delay, the consumer would decode a request and write the log
 # just when the response comes; as both run in one interpreter, the relay would have to wait. So the
-# outbox collects items
-# and passes them to the inbox together, HOLD_S after the first of them. By then a quick response
-# has been relayed.
+# outbox collects items and passes them to the inbox together, HOLD_S after the first of them. By
+# then a quick response has been relayed.
 #
 # Memory: the items of HOLD_S seconds, at most MAX_HELD bytes and one item more. All calls come from
 # one event loop.

@@ -1,8 +1,8 @@
 """A network interface as a live source: whole packets, as the kernel saw them."""
 
 # scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
-# kernel has removed back into the packet; it decodes nothing. The filter is our own
-# (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
+# kernel has removed back into the packet; it decodes nothing. The filter is made in port_filter.py,
+# so neither libpcap nor tcpdump is needed. Linux only.
 #
 # The kernel notes the time of a packet by the system's clock, which somebody may set during a
 # capture. So the difference between that clock and `now_ns`, which never steps, is measured before

@@ -1,19 +1,19 @@
 """Finds a serial line's settings by listening, and says how certain they are. Never writes."""
 
-# The settings are tried one after the other, likely ones first, until nearly all bytes are in
-# frames with a correct checksum. With each setting the port is read until it is clear that the
-# setting is right or wrong, but at most for LISTEN_S if bytes come. Where they come in bursts, as
-# from a master that polls each 30 s, a burst without a right frame is enough to try the next
-# setting, and one with two right frames, and nothing else, to use it. While nothing is heard, the
-# setting stays. What each setting has explained is kept, and if none is sure after the last one,
-# the first is tried again.
+# The settings are tried one after the other, the likely ones first, until nearly all bytes are in
+# frames with a correct checksum. Each setting is tried until it is clear that it is right or wrong,
+# but at most for LISTEN_S if bytes come. Some masters poll only every 30 s, so bytes come in
+# bursts. Then a burst without a correct frame is enough to try the next setting, and a burst of a
+# correct request with its response, and nothing else, is enough to use the setting. As long as no
+# bytes come, the setting is kept. The results of each setting are kept. If no setting is certain
+# after the last one, the first is tried again.
 #
 # Bytes before the first silence are skipped, since they may have been received with the previous
 # setting; but at most SKIPPED bytes, as some lines have no visible silence.
 #
-# This takes a second on a busy line with usual settings. A master that polls each 30 s takes 30 s
-# for each of 24 settings at most. A line that is silent for SILENCE_S ends the search, unless the
-# user wants to wait longer.
+# The search takes a second on a busy line with usual settings. With a master that polls every 30 s,
+# it takes 30 s for each of at most 24 settings. A line that is silent for SILENCE_S ends the
+# search, unless the user wants to wait longer.
 #
 # A setting with parity is called certain only if the driver is known to mark bytes with wrong
 # parity: it must have marked some while another setting, or the other parity, was tried.
@@ -99,7 +99,7 @@ def _guess(
                 return _found(link, best, "likely, from so few frames")
             if listener.is_over():
                 break
-        # Where each setting has heard enough, hearing more changes nothing.
+        # If each setting has received enough bytes, more bytes change nothing.
         is_clear = all(one.is_decided for one in trials.values())
     if not listener.heard:
         raise _nothing_heard(link, listener)
@@ -213,7 +213,7 @@ class _Listener:
         of the last burst that was judged, None if there was none.
         """
         if first_ns is None:
-            # Some settings hear nothing of a line that is much faster.
+            # With some settings, a port receives nothing from a line that is much faster.
             patience_ns = max(LISTEN_S * 10**9, round(_LONGER * self._longest_silence_ns))
             if not self._is_busy and not self._longest_silence_ns:
                 patience_ns = SILENCE_S * 10**9
@@ -221,7 +221,8 @@ class _Listener:
         if at_ns - self._last_ns < _BURST_ENDS_NS:
             return at_ns - first_ns >= LISTEN_S * 10**9
         best = trial.scores()[0]
-        # One right frame, as of a slave whose master is not heard, wants to be heard again.
+        # One correct frame (such as of a slave whose master is not heard) is not enough: go on
+        # listening.
         has_fit = best.frames > 0 and best.fit >= LIKELY_FIT
         return not has_fit or (best.is_pair and at_ns - self._last_ns >= _PAIR_NS)
 

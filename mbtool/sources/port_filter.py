@@ -1,12 +1,12 @@
 """The kernel filter that lets only Modbus traffic into a capture: classic BPF, assembled here."""
 
-# scapy compiles filters with libpcap, which may not be installed; so the one program that is needed
-# is assembled here. It reads the packet from the network header on (SKF_NET_OFF) and asks the
-# kernel for the protocol, so it works for every link type, and for packets whose VLAN tag the
-# kernel has removed.
+# scapy compiles filters with libpcap, which may not be installed. mbtool needs only one BPF
+# program, so it is assembled here. The program reads the packet from the network header on
+# (SKF_NET_OFF) and asks the kernel for the protocol, so it works for every link type, and for
+# packets whose VLAN tag the kernel has removed.
 #
 # The filter keeps all packets that could belong to a Modbus connection:
-#   TCP and UDP over IPv4 or IPv6 from or to one of the ports; all of both if no port is named
+#   TCP and UDP over IPv4 or IPv6 from or to one of the ports; on all ports if none is named
 #   IPv4 fragments of TCP, since only the first one has the ports
 #   IPv6 with an extension header before TCP, or instead of it
 #   packets with a second VLAN tag (802.1ad), with a tag that the kernel does not remove (9100H), or

@@ -127,7 +127,7 @@ class TcpRelay:
         is_ending = self.master.has_ended or self.slave.has_ended
         return now_s - self.active_s >= SPARE_S and (is_ending or not self._has_answered)
 
-    def screened(self, ts_ns: int, data: bytes) -> bytes:
+    def record_and_filter(self, ts_ns: int, data: bytes) -> bytes:
         """Record bytes that the master sent at `ts_ns`; return those that a read-only tap passes
         on.
 
@@ -213,10 +213,10 @@ class TcpRelay:
             self._close()
 
     async def _begin(self, transport: asyncio.Transport, connection: Connection) -> None:
-        if self._listen_tls is None or await self._greet(transport, self._listen_tls):
+        if self._listen_tls is None or await self._do_handshake(transport, self._listen_tls):
             await self._connect_target(connection)
 
-    async def _greet(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
+    async def _do_handshake(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
         """Do the TLS handshake with the master; return True if it succeeded."""
         inner = None
         try:
@@ -347,7 +347,7 @@ class _RelaySide(asyncio.Protocol):
             return
         screen = self._relay.screen
         if screen is not None and self.direction is Direction.REQUEST:
-            data = self._relay.screened(ts_ns, data)
+            data = self._relay.record_and_filter(ts_ns, data)
             if data and not onward.is_closing():
                 onward.write(data)
             return

@@ -8,12 +8,12 @@
 # known without delay, and then every 50 ms. The time of a QUIET record is noted before a read that
 # returned no bytes, so the line was certainly silent up to it.
 #
-# If a read takes longer than STOPPED_NS, the process was stopped, or the machine slept. A STOPPED
-# record before the bytes of that read says so, as the driver keeps only some of the bytes that came
-# meanwhile.
+# If a read takes longer than STOPPED_NS, the process was stopped, or the machine slept. Then a
+# STOPPED record comes before the bytes of that read, because the driver keeps only some of the
+# bytes that came meanwhile.
 #
 # The driver's reports of damaged and lost bytes follow the record of the bytes that were read
-# (line_errors.py).
+# (ports/line_errors.py).
 
 from __future__ import annotations
 

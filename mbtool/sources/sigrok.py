@@ -9,20 +9,21 @@
 #                   lowest bit of the first byte
 #
 # The UART characters are decoded here (uart.py), so no decoder needs to be set up in sigrok. If the
-# user names no line settings, they are looked for on one channel after the other, those with the
-# most edges first: the settings with the fewest wrong characters, if they give frames with correct
-# CRCs. Without such frames the recording is refused.
+# user gives no line settings, they are searched on one channel after the other, those with the most
+# edges first. The settings with the fewest wrong characters are used, if they give frames with
+# correct CRCs. Without such frames the recording is refused.
 #
-# Each channel is read as it is and inverted, since an idle line is high, but the recorded one may
-# rest at either level. The number of bytes in frames with correct CRCs decides. The channel with
-# the most such bytes is the line, and each further channel that adds some, with all characters in
-# the order of time: a two-wire line is one channel, RS-232 has one for each direction. So an echo
-# and the second wire of RS-485 are left out. If no CRC is correct, all channels with characters are
-# taken, but for those that only repeat another one. A recording has no date, so it begins in 1970.
+# Each channel is decoded twice, as it is and inverted: an idle line is high, but the recorded
+# signal may rest at either level. The number of bytes in frames with correct CRCs decides. The
+# channel with the most such bytes is the line. A further channel is added if it adds such bytes,
+# and all characters are sorted by time: a two-wire line is one channel, RS-232 has one for each
+# direction. So an echo, and the second wire of RS-485, are left out. If no CRC is correct, all
+# channels with characters are used, except those that only repeat another one. A recording has no
+# date, so it begins in 1970.
 #
-# Samples of an idle line are compressed to a thousandth. So the unpacked bytes are limited only by
-# what deflate can compress (_MAX_RATIO), and the edges, which cost time, by the file's size
-# (MAX_EDGES).
+# Samples of an idle line are compressed to a thousandth of their size. So the unpacked bytes are
+# limited only by the highest ratio of deflate (_MAX_RATIO). Edges cost time, so their number is
+# limited by the size of the file (MAX_EDGES).
 #
 # Memory: one block of samples, and the first edges of each channel, at most LOOKED_AT, with their
 # characters.

@@ -17,12 +17,12 @@
 # its log before they run out, so a tap with `waits` accepts no master until `accept` is called.
 # Masters that connect earlier, or while no more files can be opened, wait in the system's queue.
 #
-# Limits, which the user's (ports/tcp_listener.py) replace: 64 connections at once. A further
-# one is reset, with an event, unless another connection is unused: on that one the slave never
-# answered or a side has ended, and no byte came for SPARE_S. The unused one is then closed. So a
-# flood of connections takes no place for longer than that. A connection without a byte for an hour
-# is closed: few masters poll so rarely, and connections whose peers have vanished would otherwise
-# add up to 64.
+# Limits, unless the user sets others (ports/tcp_listener.py): 64 connections at once. A further one
+# is reset, with an event, unless another connection is unused: on that connection the slave never
+# answered or a side has ended, and no byte came for SPARE_S. Then the unused one is closed instead.
+# So a flood of connections blocks masters for SPARE_S at most. A connection without a byte for an
+# hour is closed: few masters poll so rarely, and connections whose peers have vanished would
+# otherwise add up to 64.
 #
 # A tap that is read-only passes on only requests that read (read_only.py).
 

@@ -1,31 +1,38 @@
 """Finds whole Modbus frames among the bytes that a log shows, and decides who sent each."""
 
-# Bytes are a frame if the CRC of an RTU frame holds at the length that its function tells, the LRC
-# of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
-# are no frame may be a part of one: they are kept with those of the same place in the log's lines
-# (its "label", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
-# joined bytes, the others only where a piece begins, as zeros look like an MBAP header.
+# Bytes are a frame if the CRC is correct at the length that the function of an RTU frame gives, if
+# the LRC of an ASCII frame is correct, or if the length in an MBAP header fits the function. Other
+# bytes may be a part of a frame. They are kept together with earlier bytes of the same label (the
+# text before the bytes in the line, such as `recv:`), and joined with later bytes of this label.
+# RTU frames are searched anywhere in joined bytes. Other frames are only searched where a piece
+# begins, since zeros look like an MBAP header.
 #
-# The direction of a frame is that of its form, if only a request or only a response has it. Else it
-# is that of the label, as its other frames have shown; else that of its word (`Tx`), as other
-# frames of that word have shown; else the frame is a response if it answers the last request; else
-# the word decides, and a frame without one is a request. Many programs show a frame twice, and an
-# adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
-# direction, and of another label; a request of the same label is a retry. If a log shows an ADU of
-# Modbus/TCP as an RTU frame, too, all its RTU frames are left out.
+# The direction of a frame comes from the first of these that decides:
 #
-# Some programs show unit and PDU without a frame. Such bytes count, as RTU frames with the CRC that
-# they would have, in a log without frames: a request of the form of its function, and behind it the
-# response that fits it, both with a word or arrow.
+#     1  the form of the frame, if only a request or only a response has it
+#     2  the label, if its other frames have shown a direction
+#     3  the word of the label (`Tx`), if other frames with this word have shown a direction
+#     4  the last request: the frame is a response if it answers that request
+#     5  the meaning of the word; a frame without a word is a request
 #
-# A response may be shown that is no whole frame. If the bytes behind a request have the length of
-# its response, and a word or arrow, they are that response with a wrong CRC. If they only begin
-# like its response and the next frame is another request, the log lacks the rest: a frame with
-# `is_whole` False says so, as the slave was not silent.
+# Many programs show a frame twice, and an adapter may hear the bytes that it sends. So a frame is
+# left out if the previous frame is equal, in the same direction, and has another label; an equal
+# request with the same label is a retry. If a log shows an ADU of Modbus/TCP also as an RTU frame,
+# all its RTU frames are left out.
 #
-# A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
+# Some programs show unit and PDU without a frame. In a log without frames, such bytes count as RTU
+# frames with the CRC that they would have: a request in the form of its function, and the response
+# to it directly after it, both with a word or arrow.
 #
-# Memory: MAX_HELD frames, MAX_LABELS labels with at most MAX_PART bytes each.
+# A log may show a damaged response. If the bytes after a request have the length of its response,
+# and a word or arrow, they are this response with a wrong CRC. If they only begin like the response
+# and the next frame is another request, the log lacks the rest. Then a frame with `is_whole` False
+# is returned, since the slave was not silent.
+#
+# A log counts as Modbus once it has given enough evidence (ENOUGH). Earlier frames are held until
+# then.
+#
+# Memory: MAX_HELD frames, and MAX_LABELS labels with at most MAX_PART bytes each.
 
 from __future__ import annotations
 
@@ -283,7 +290,8 @@ class TextFrames:
         """
         is_begin = _begins_answer(data, asked)
         if is_begin and asked.raw.startswith(data):
-            # A part of the request that is shown again, or a response that begins like it.
+            # The bytes are a part of the request that is shown again, or a response that begins
+            # like it.
             before = None if self._last is None else self._last[1]
             is_begin = label.mark is not None and label.text != before
         if is_begin and asked.transport is Transport.RTU and label.mark is not None:

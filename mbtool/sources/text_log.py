@@ -1,21 +1,22 @@
 """Reads Modbus frames from text: the logs of other programs, terminals and analysers."""
 
-# No program has a form of its own here. A line is read in three steps: its time (text_marks.py),
-# the places at which bytes are written (text_notations.py), and the word or arrow before them that
-# says who sent. A line without such a mark has that of the lines before it, up to LOOK_BACK; the
-# rows of a dump have that of its heading. What of the bytes is a Modbus frame, and of which
-# direction, is decided in text_frames.py. All other text is passed over and counted.
+# No program has special code here. A line is read in three steps: its time (text_marks.py), the
+# places with bytes (text_notations.py), and the word or arrow before the bytes that names the
+# sender. A line without such a mark uses the mark of an earlier line, at most LOOK_BACK lines
+# before; the rows of a dump use that of its heading. text_frames.py decides which bytes are a
+# Modbus frame, and its direction. All other text is skipped and counted.
 #
-# Lines that differ only in hexadecimal digits have one shape, and the places found in a shape are
-# kept, as programs write the same few lines again and again. So a line that is like an earlier one
-# costs a look into a dictionary.
+# Lines that differ only in hexadecimal digits have one shape. The places found in a shape are kept,
+# because programs write the same few kinds of lines again and again. So a line with a known shape
+# costs one look-up in a dictionary.
 #
-# Frames of RTU and ASCII are one serial line, those with an MBAP header one TCP connection, both
-# with the name of the file. A log without times has times that only show the order: as if the bytes
-# had come without gaps at the line's baud rate, from 1970-01-01 on. A log has times if one of its
-# first MAX_UNTIMED frames has one. In it a frame without a time has that of the frame before, and
-# frames before the first time have that one; a time that goes back by less than MAX_BACK_NS is
-# replaced by that of the frame before, as threads write their lines a little out of order.
+# RTU and ASCII frames are of one serial line, frames with an MBAP header of one TCP connection;
+# both have the name of the file. A log has times if one of its first MAX_UNTIMED frames has one. In
+# a log with times, a frame without a time has the time of the frame before it; frames before the
+# first time have that first time. Threads write their lines a little out of order, so a time that
+# goes back by less than MAX_BACK_NS is replaced by the time of the frame before. In a log without
+# times, invented times show the order: as if the bytes had come without gaps at the line's baud
+# rate, from 1970-01-01 on.
 #
 # Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, MAX_UNTIMED frames, and that of
 # text_frames.py.
@@ -294,7 +295,7 @@ class TextLog:
             if ts_ns is None and before.time is not None:
                 ts_ns = self._ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
-                mark = self._last_mark[1]  # Both lines are of one object that has several.
+                mark = self._last_mark[1]  # Both lines belong to one object.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
                 break
         if mark is not None and label.mark is None:

@@ -1,4 +1,4 @@
-"""Finds in a line of a log its time, and the word or arrow that says who sent."""
+"""Finds the time in a line of a log, and the word or arrow that names the sender."""
 
 # Times are UTC unless the line names an offset. A time without a date counts from 1970-01-01, and
 # from the next day on when it goes back by more than half a day. A syslog time has no year; it is
@@ -7,13 +7,14 @@
 # A number of 10, 13, 16 or 19 digits that is a time from 2008 to 2033 in s, ms, us or ns is that
 # time. It needs no fraction and no brackets.
 #
-# Dates like 12/02/2024 and 12-02-2024 have one order in a file. Two things show it: a number above
-# 12, and two dates in a row of which one number is equal, as midnight changes the day and not the
-# month. Dates before that have the month first, unless all are in the first READ_BYTES of the file.
-# A date in the other order is no time. A file that never shows its order is read month first, and
-# the user is told.
+# Dates like 12/02/2024 and 12-02-2024 have one order in a file. Two things show this order: a
+# number above 12, and two consecutive dates with one equal number, as midnight changes the day and
+# not the month. Earlier dates are read with the month first, unless all are in the first READ_BYTES
+# of the file. A date in the other order is no time. If a file never shows its order, its dates are
+# read with the month first, and the user is told so.
 #
-# Only what stands before the bytes is a time: a date and a time anywhere, a number at the front.
+# A time is searched only before the bytes: a date with a time of day anywhere, a number only at the
+# beginning of the line.
 
 from __future__ import annotations
 

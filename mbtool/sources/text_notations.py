@@ -1,8 +1,8 @@
 """Finds bytes in a line of text, in every notation that programs use."""
 
-# A line is looked at through its shape: the line with every hexadecimal digit replaced by 0. So a
-# pattern needs no classes of digits, and lines that differ in digits only have one shape, whose
-# places are found once (text_log.py). NOTATIONS is the whole list; a new notation is one row.
+# The shape of a line is the line with 0 in place of every hexadecimal digit. So a pattern needs no
+# classes of digits, and lines that differ only in digits have one shape, whose places are found
+# only once (text_log.py). NOTATIONS is the whole list; a new notation is one row.
 #
 # If two notations find bytes at overlapping places, the one with more bytes wins. Text in quotes
 # with escapes (\x01, \1, \n) and lists of decimal numbers are read from the line itself.

@@ -2,9 +2,9 @@
 
 # Each port has a reading process and a thread of its own; each chunk says which side sent it. A
 # Quiet item means that all bytes received before its time are in the inbox. Each port knows this
-# only for itself, so this source puts a Quiet with the earlier of the two ports' times. When the
-# clock is set back, these times go back, too. Both ports end together: when one is gone, the other
-# is told to end; its last bytes come before the Ended of this source.
+# only for itself, so this source puts a Quiet with the earlier of the two times. When the clock is
+# set back, these times go back, too. When one port is gone, the other one is ended, too; its last
+# bytes come before the Ended of this source.
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Judges what is wrong, why, and what to do: one judgement for all commands."""
+"""Finds what is wrong, why, and what to do: one list of troubles for all commands."""

@@ -1,8 +1,9 @@
-"""Sums up findings (broken rules of `check`) by code and place, and tells them as troubles."""
+"""Sums up findings (broken rules of `check`) by code and place, and reports them as troubles."""
 
-# A master that repeats a mistake in every poll breaks the same rule many times. So each code and
-# place has one sum: the number of findings, the first and the last of them. A note is no trouble,
-# as it need not be a fault.
+# A master that repeats a mistake in every poll breaks the same rule many times. So the findings of
+# one code at one place (link, unit and device) are counted together, and only the first and the
+# last are kept. A finding with the severity of a note becomes no trouble, as it need not be a
+# fault.
 #
 # Memory: two findings for each place, at most MAX_PLACES places for each code.
 

@@ -1,8 +1,10 @@
-"""Keeps single transactions and events as evidence for what the account's figures show."""
+"""Keeps single transactions and events as evidence for the figures of the account."""
 
-# Memory: MAX_EVIDENCE cases for each kind of failure of at most MAX_UNITS units; SLOWEST answers of
-# each of at most MAX_POLLS polls; MAX_EVIDENCE damaged frames of each of at most MAX_LINKS links;
-# an opened connection of each of at most MAX_LINKS masters of links.
+# The account (ledger/account.py) has the statistics of a capture, but no single transactions.
+#
+# Memory: MAX_EVIDENCE cases for each kind of failure of at most MAX_UNITS units; the SLOWEST
+# answers of each of at most MAX_POLLS polls; MAX_EVIDENCE damaged frames for each of at most
+# MAX_LINKS links; one opened connection for each of at most MAX_LINKS pairs of link and master.
 
 from __future__ import annotations
 
@@ -109,6 +111,8 @@ class Cases(Sense):
         for counts in run.connections:
             if counts.first_opened_ns is not None:
                 self._note_opened((counts.link, counts.host), counts.first_opened_ns)
+        if run.longest_ns < SLOW_NS:
+            return
         for kind in run.kinds:
             latencies, like = kind.latencies, kind.like
             if max(latencies) < SLOW_NS:
@@ -172,7 +176,7 @@ class Cases(Sense):
         ]
         return _first(found)
 
-    def proved(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
+    def with_evidence(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles; those that only figures show get their cases as evidence."""
         for one in troubles:
             found: Iterable[Evidence] = one.evidence

@@ -1,7 +1,7 @@
-"""Tells which share of the requests to a unit failed, and from when to when."""
+"""Computes which share of the requests to a unit failed, and from when to when."""
 
-# The share is of the requests in the time of the failures. Their number is taken from bins of time
-# (ledger/time_bins.py), so it can be wrong by a part of a bin.
+# The share counts only requests in the time of the failures. The number of these requests is the
+# sum of time bins (ledger/time_bins.py), so it can be wrong by a part of a bin.
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
     from mbtool.ledger.unit_account import FailureSpan, UnitAccount
 
-# The limits by which `stats`, `report` and `watch` judge failed requests.
+# Limits with which `stats`, `report` and `watch` judge failed requests.
 
 FEW = 0.01
 """Failures of a unit are a small thing if they are a smaller share of its requests than this (0.01
@@ -60,8 +60,8 @@ def time_of_failures(begin: int, first: int, last: int, end: int) -> tuple[bool,
 
 
 _SHORTEST_NS = 2_000_000_000
-"""No time of failures is told of a unit that was heard for less than this (ns), as times have
-whole seconds."""
+"""A trouble names no time of failures if the unit was observed for less than this (ns), because
+times are shown in whole seconds."""
 
 
 class FailedShare(NamedTuple):

@@ -1,9 +1,10 @@
-"""The one judgement: says what is wrong with what was heard, why, and what to do."""
+"""Makes the judgement: the list of troubles, with cause and remedy, for every command."""
 
-# Records (transactions, events, blocks of answered requests) go into the account (the room ledger)
-# and to the senses; broken rules come from the Checker (devices/checking). The judgement can be
-# asked for at any time. A trouble that another one is the cause of (`explains` in words.py) is left
-# out, and the same trouble of several units, links or masters is told as one.
+# Each record (a transaction, an event, or a block of answered requests) is counted in the account
+# (ledger/account.py) and given to the senses: classes that each find some kinds of troubles
+# (sense.py). Broken rules come from the Checker (devices/checking). The judgement can be asked for
+# at any time. It leaves out a trouble that another trouble causes (`explains` in words.py), and
+# joins the same trouble of several units, links or masters into one.
 #
 # Memory: that of the account and of the senses.
 
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 Q = TypeVar("Q", bound="QuietRows")
 
 JOINED = 3
-"""The same trouble of at least so many units, links or masters is told as one."""
+"""The same trouble of at least so many units, links or masters is reported as one."""
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
@@ -71,7 +72,7 @@ class Judgement:
 
     troubles: Sequence[Trouble]
     links: Sequence[LinkReport]
-    """The account of each link, by which was judged."""
+    """The statistics of each link, from which the troubles were found."""
     is_chosen: bool = False
     """True if the user chose the codes, so that no trouble among them does not mean that all is
     well."""
@@ -135,7 +136,7 @@ class Judge:
         """
         self.ledger = ledger
         self.findings = Summaries()
-        """The broken rules that `note` was told of, by code and place."""
+        """The broken rules that `note` has got, by code and place."""
         self.remarks: list[str] = []
         """Sentences for the user that are no findings; those of a capture are there when it
         ended."""
@@ -236,7 +237,8 @@ class Judge:
         found += rule_troubles(self.findings)
         several = len(links) > 1
         named = [
-            replace(one, names_link=several) for one in self._cases.proved(_unexplained(found))
+            replace(one, names_link=several)
+            for one in self._cases.with_evidence(_unexplained(found))
         ]
         return Judgement(_in_order(_joined(named)), links)
 

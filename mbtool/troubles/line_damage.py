@@ -1,38 +1,42 @@
-"""LINE-NOISE, LINE-LOST-BYTES, LINE-SAME-UNIT, LINE-TWO-MASTERS: whose frames are damaged, and how.
+"""Finds LINE-NOISE, LINE-LOST-BYTES, LINE-SAME-UNIT and LINE-TWO-MASTERS: damage of frames.
 
-Damaged frames are events: a wrong CRC, or bytes that are no frame.
+A damaged frame is an event: a wrong CRC, or bytes that are no frame.
 """
 
-# Each damaged frame is given to what it stands beside: bytes that are most of a known request are a
-# damaged request, as is an event right before a response without a request; other events after a
-# request without an answer are its damaged answer; the rest is of nobody. What is known of the
-# request tells how many bytes the answer should have, and with which ones it begins.
+# Each damaged frame is assigned first:
 #
-# LINE-TWO-MASTERS  Two requests in one: the bytes begin with those of one known request and end
-#                   with those of another one, at a length that no single one has. Or a master sends
-#                   a request sooner after another one than the unit asked usually answers, with
-#                   nothing on the line in between, and sooner than by the time-out that requests
-#                   without an answer usually wait for: no master does that. Or the decoder says
-#                   so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one master can
-#                   keep two lists. Where two masters are proved, they tell which one asks what.
-# LINE-SAME-UNIT    Two slaves answer one request. Nearly all damage of the line is in the unit's
-#                   answers or right behind them, at most of its answers, while other units answer
-#                   well; and there are more bytes than asked for, which neither noise nor lost
-#                   bytes make. Or nearly all of its answers are damaged, from their first bytes on
-#                   or with many different lengths, though it understands each request, which it
-#                   could not with a bad cable; or a second, whole response of the same form follows
-#                   the first with other bytes, and nothing that can be a damaged request to the
-#                   unit is between.
+# - to a request, if it has most bytes of a known request, or if a response without a request
+#   follows it directly;
+# - to the answer of the last request, if this request got no answer;
+# - otherwise to nobody.
+#
+# The request shows how many bytes the answer should have, and with which bytes it begins.
+#
+# LINE-TWO-MASTERS  Two requests at once: the damaged bytes begin like one known request and end
+#                   like another, and are longer than one request. Or a master sends a request while
+#                   another one still waits: sooner than the unit usually answers, sooner than the
+#                   usual time-out, and with nothing on the line in between. Or the decoder reports
+#                   it (EventKind.TWO_MASTERS). Two exact poll periods alone prove nothing, as one
+#                   master can poll two lists. Where two masters are proved, the periods show which
+#                   master asks for what.
+# LINE-SAME-UNIT    Two slaves answer one request. Nearly all damage of the line is in the answers
+#                   of one unit, or directly after them, and at most of its answers, while other
+#                   units answer well. And there are more bytes than asked for, which neither noise
+#                   nor lost bytes cause. Or nearly all answers of the unit are damaged, from their
+#                   first bytes on or with many different lengths, though the unit understands each
+#                   request, so the cable is good. Or a second, whole response of the same form with
+#                   other bytes follows the first one, and nothing in between can be a damaged
+#                   request to the unit.
 # LINE-LOST-BYTES   Most damaged frames of a known length are too short.
-# LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
-#                   in the requests, or everywhere.
+# LINE-NOISE        All other damage. The trouble says where it is: in the answers of one unit, in
+#                   those of all units, in the requests, or in both.
 #
-# False alarms: single damaged frames happen on healthy lines, so ENOUGH of them are needed, and
-# FEW of the transactions; fewer are a note. An adapter that cuts frames loses no bytes. Single
-# constant bytes are another trouble (line_strays.py).
+# False alarms: single damaged frames happen on healthy lines, so ENOUGH of them are needed; less
+# than the share FEW of the transactions is a note. An adapter that cuts frames loses no bytes.
+# Single constant bytes are another trouble (line_strays.py).
 #
 # Memory: HELD events, KNOWN requests, numbers for each of 256 units, and MAX_EVIDENCE cases of each
-# kind for each of at most MAX_LINKS links.
+# kind, for each of at most MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -128,7 +132,7 @@ class _DamagedUnit:
 @dataclass(slots=True)
 class _DamagedLine:
     held: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=HELD))
-    """Events about damaged bytes that are given to nobody yet."""
+    """Events about damaged bytes that are not assigned yet."""
     odd: int = 0
     """The number of pieces too short for `held` since the last transaction."""
     requests: OrderedDict[bytes, int] = field(default_factory=OrderedDict)
@@ -143,7 +147,7 @@ class _DamagedLine:
     merged: int = 0
     """The number of times that two requests were on the line at once."""
     interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
-    """How long (ns) requests waited that others came after sooner than the answer usually does."""
+    """The waits (ns) of requests that another request interrupted before the usual answer."""
     responses: deque[int] = field(default_factory=lambda: deque(maxlen=HELD))
     """When the last responses came (ns)."""
     late: int = 0
@@ -151,7 +155,7 @@ class _DamagedLine:
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
     """How long (ns) requests without an answer in time waited for the next request."""
     is_told: bool = False
-    """True if the decoder says that there are two masters."""
+    """True if the decoder reported two masters."""
     transactions: int = 0
     cases: list[Evidence] = field(default_factory=list)
     masters_cases: list[Evidence] = field(default_factory=list)
@@ -217,7 +221,7 @@ class LineDamage(SortedSense):
             unit.answered += 1
             unit.last = one
             unit.latency_ns += one.latency_ns
-        self._give(line)
+        self._assign_damage(line)
         if line.last is not None and line.last.unit != one.unit:
             line.before = line.last
         line.last, line.odd = one, 0
@@ -261,7 +265,7 @@ class LineDamage(SortedSense):
         if last.unit == one.unit or (is_late and is_given_up):
             return
         if any(last.request_ns < at_ns < one.request_ns for at_ns in line.responses):
-            return  # A late answer, which the master took for the one that it waited for.
+            return  # The master took a late answer for this one.
         if line.requests.get(last.request_raw or b"", 0) < POLLED:
             return  # Perhaps an answer that was taken for a request.
         unit = line.unit(last.unit)
@@ -270,10 +274,8 @@ class LineDamage(SortedSense):
             line.interrupted.append(waited_ns)
             keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
 
-    def _give(self, line: _DamagedLine) -> None:
-        """Take the damaged frames since the last transaction as its answer if it has none; else
-        they are of nobody.
-        """
+    def _assign_damage(self, line: _DamagedLine) -> None:
+        """Assign the damaged frames since the last transaction: to its answer if it has none."""
         held, last = [*line.held], line.last
         line.held.clear()
         if not held or last is None:
@@ -334,7 +336,7 @@ class LineDamage(SortedSense):
 def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
     if not doubles:
-        doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
+        doubles = [number for number, unit in line.units.items() if _has_two_slaves(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
     is_told = line.is_told and not doubles
@@ -356,7 +358,7 @@ def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iter
             victims=tuple(
                 each for each, other in line.units.items() if other.answered or each == number
             ),
-            figures={"how": _how_double(unit), "other": _other_double(unit, count)},
+            figures={"how": _how_double(unit), "other": _colliding_unit_text(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -391,8 +393,8 @@ def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
     groups: list[tuple[int, list[PollStatistics]]] = []
     for poll in sorted(polls, key=lambda one: one.period.percentile(50)):
         period, usual_ns = poll.period, poll.period.percentile(50)
-        near = period.number_from(round((1 - EVEN) * usual_ns))
-        near -= period.number_from(round((1 + EVEN) * usual_ns))
+        near = period.count_at_least(round((1 - EVEN) * usual_ns))
+        near -= period.count_at_least(round((1 + EVEN) * usual_ns))
         if period.count < ENOUGH_PERIODS or near < ALIKE * period.count:
             continue
         if groups and usual_ns <= (1 + EVEN) * groups[-1][0]:
@@ -442,7 +444,7 @@ def _how_double(unit: _DamagedUnit) -> str:
     return ", ".join(told) or f"{unit.damaged:,} damaged, those of other units are not"
 
 
-def _other_double(unit: _DamagedUnit, count: int) -> str:
+def _colliding_unit_text(unit: _DamagedUnit, count: int) -> str:
     """Name the unit that is asked right before in most cases, whose second answer may be what
     collides.
     """
@@ -451,7 +453,7 @@ def _other_double(unit: _DamagedUnit, count: int) -> str:
     return f", or as unit {before}, which is asked right before it" if is_likely else ""
 
 
-def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
+def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds

@@ -1,22 +1,24 @@
-"""LINE-LATE: answers that come after the master has given the request up."""
+"""Finds LINE-LATE: answers that come after the master has given up their request."""
 
-# The decoder says which responses are late. The time-out is the time from a request without a
-# response in time to the next request on the line.
+# The decoder marks late responses. The time-out is the time from a request without a response in
+# time to the next request on the line.
 #
-# A unit some of whose answers come just before the time-out (NEAR), and others not at all, is late,
-# too, though its late answers may collide with the next request, so that nobody can read them. So
-# is a unit that answers some requests in time, where damage comes after its requests without an
-# answer: in the time-out behind the one that the master waited (a wake), and hardly elsewhere. Its
-# late answers collide with what the master asks then. A unit that answers none in time may as well
-# be dead, so it is late only if other requests fail in most of its wakes.
+# A late answer may collide with the next request, so that nobody can read it. A wake is the time in
+# which this can happen: it begins with the next request, and lasts as long as the master waited for
+# the answer. So two kinds of units count as late without readable late answers:
 #
-# False alarms: where a request is damaged, its answer may be taken for a late one to the request
-# before. So a response right behind damaged bytes is no late one. And if there are many damaged
-# frames, a master that goes on as soon as after the unit's answers (PACE) has not waited for a
-# time-out: it had the answer, and the recording lost it.
+# - units some of whose answers come just before the time-out (NEAR), while others are missing;
+# - units that answer some requests in time, if damaged frames come in the wakes of their missing
+#   answers and hardly at other times. A unit that never answers in time may be dead, so it counts
+#   as late only if another unit's request fails in most of these wakes.
 #
-# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units, the last requests
-# and damaged frames (RECENT) and the open wakes of each of at most MAX_LINKS links.
+# False alarms: an answer to a damaged request may be taken for a late answer to the request before.
+# So a response directly after damaged bytes does not count as late. If many frames are damaged, a
+# master that sends its next request as soon as after an answer (PACE) did not wait for a time-out:
+# it got the answer, and the recording lacks it.
+#
+# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units; the last requests
+# and damaged frames (RECENT of each) and the open wakes for each of at most MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -136,7 +138,7 @@ class LateOnLine(SortedSense):
             self._resolve(name, line, None)
 
     def take_event(self, event: WireEvent) -> None:
-        if event.kind not in DAMAGE or len(set(event.raw)) < 2:  # Not a byte of an idle line.
+        if event.kind not in DAMAGE or len(set(event.raw)) < 2:  # One repeated byte: an idle line.
             return
         if (line := self._line(event.link)) is None:
             return
@@ -182,7 +184,7 @@ class LateOnLine(SortedSense):
         return unit
 
     def _resolve(self, link: str, line: _LateLine, now_ns: int | None) -> None:
-        """Close what ends before a time; None for everything."""
+        """Close the wakes and take the late answers that end before `now_ns`; all if it is None."""
         line.wakes = [wake for wake in line.wakes if now_ns is not None and wake.end_ns >= now_ns]
         for one in line.pending:
             response_ns = one.response_ns or 0

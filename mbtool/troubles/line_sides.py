@@ -1,20 +1,20 @@
-"""LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED: what is heard once too little or once too often."""
+"""Finds LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED: one side missing, or frames that come twice."""
 
 # LINE-ONE-SIDE  Only requests, or only responses, are heard: the tap is on one pair of a four-wire
-#                line, or only at one of two ports. Only responses: at least ENOUGH responses have
-#                no request, and all requests are writes, whose response looks like a request. Only
-#                requests: none of ENOUGH requests to at least two units has a response, and there
-#                is no other byte on the line. A line with one unit may as well have a dead one, so
-#                nothing is said of it, unless the master mostly goes on sooner than any gives up:
-#                then it had the responses.
-# LINE-ECHO      The decoder tells of the second copy of a request (EventKind.ECHO): the adapter
-#                hears its own bytes. Nothing fails by that, so it is a note.
-# LINE-REPEATED  A response without a request has the same bytes as the one before it, or the
-#                decoder tells of the second copy of a response (EventKind.REPEATED): frames come
-#                twice, as from a repeater, or from two taps of one line. A slave that answers a
-#                retry gives the same bytes, too, but then the master has asked twice.
+#                line, or at one of two ports. Only responses: at least ENOUGH responses have no
+#                request, and all requests are writes, which look like their responses. Only
+#                requests: none of at least ENOUGH requests has a response, no other byte is on the
+#                line, and at least two units are asked. With one unit, a dead slave is as likely;
+#                then the trouble is reported only if the master mostly sends the next request
+#                sooner than any master gives up, which shows that it got the responses.
+# LINE-ECHO      The decoder reports a second copy of a request (EventKind.ECHO): the adapter hears
+#                its own bytes. This causes no failure, so it is a note.
+# LINE-REPEATED  A response without a request has the same bytes as the previous response, or the
+#                decoder reports a second copy of a response (EventKind.REPEATED): frames come
+#                twice, as from a repeater or from two taps on one line. An answered retry gives
+#                equal responses, too, but then the second one has a request.
 #
-# Memory: some numbers, the last response, and MAX_EVIDENCE cases for each of at most MAX_LINKS
+# Memory: a few numbers, the last response, and MAX_EVIDENCE cases, for each of at most MAX_LINKS
 # links.
 
 from __future__ import annotations

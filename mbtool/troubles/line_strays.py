@@ -1,23 +1,24 @@
-"""LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS: bytes of a serial line that belong to no frame."""
+"""Finds LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS: bytes of a line that belong to no frame."""
 
 # LINE-BIAS      One constant byte (00H, FFH, or another one), alone or twice, stands before or
-#                behind many frames: the idle line floats, or a driver switches too early or late.
-#                It is told beside which frames. Beside those of all senders, bias is missing;
-#                beside those of one, its driver is switched at a wrong time.
-# LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, beside polls most
-#                of which are answered: another protocol shares the wires.
-# LINE-SETTINGS  For a while there is no frame with a right CRC, but many other bytes; or that is so
-#                all the time. Where polls are answered before or after, the settings changed, or
-#                other ones are used for that time. The settings are never called wrong while polls
-#                are answered, and not because of text. On a line with many damaged frames some
-#                follow each other by chance; a stretch is longer than that.
+#                after many frames: the idle line floats, or a driver switches too early or too
+#                late. The trouble names these frames. If they are frames of all senders, bias is
+#                missing. If they are frames of one sender, its driver switches at the wrong time.
+# LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, while most polls
+#                are answered: another protocol shares the wires. A piece is a series of bytes that
+#                is no frame.
+# LINE-SETTINGS  For a while, or all the time, no frame has a correct CRC, but many other bytes are
+#                on the line. If polls are answered before or after, the settings changed, or other
+#                ones were used for that time. Settings are never called wrong while polls are
+#                answered, nor because of readable text. On a line with many damaged frames several
+#                may come in a row by chance, so a longer stretch is needed there.
 #
-# False alarms: a broken cable gives some odd bytes, but not ENOUGH_BYTES of them; noise damages
-# some frames, but then polls are answered in between. Foreign frames that are seen rarely, or are
-# different each time, are not recognised.
+# False alarms: a broken cable gives some stray bytes, but not ENOUGH_BYTES of them. Noise damages
+# some frames, but polls are answered in between. Foreign frames that are rare, or always different,
+# are not recognised.
 #
-# Memory: numbers, HEADS first bytes of pieces and MAX_EVIDENCE cases of each kind for each of at
-# most MAX_LINKS links.
+# Memory: a few numbers, the first bytes of HEADS pieces, and MAX_EVIDENCE cases of each kind, for
+# each of at most MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ FEW = 0.1
 """A constant byte stands beside at least this share (0 to 1) of the transactions."""
 MOSTLY = 0.8
 OFTEN = 0.2
-"""A place is told if at least this share (0 to 1) of the constant bytes stand there."""
+"""A place is reported if at least this share (0 to 1) of the constant bytes are there."""
 LONGEST_BIAS = 2
 NEAR_NS = 4_000_000
 """A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
@@ -62,8 +63,8 @@ ENOUGH_BYTES = 100
 ENOUGH_PIECES = 5
 SHORTEST_NS = 2_000_000_000
 CHANCE = 1e-6
-"""A stretch is told if noise as elsewhere on the line would damage so many frames in a row less
-often than this."""
+"""A stretch is reported if its probability is below this: the probability that the usual noise of
+the line damages so many frames in a row."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 
 
@@ -84,7 +85,7 @@ class _StrayLine:
     waiting: list[WireEvent] = field(default_factory=list)
     """Single bytes whose place is not known yet."""
     places: Counter[tuple[str, int]] = field(default_factory=Counter)
-    """Beside which frames, and of which unit, the bytes stand."""
+    """The number of bytes at each place: before or after which frames, and of which unit."""
     bias_cases: list[Evidence] = field(default_factory=list)
     last: NamedTransaction | None = None
     text: int = 0
@@ -105,9 +106,9 @@ class _StrayLine:
     answered: int = 0
     requests: int = 0
     frames: int = 0
-    """The number of transactions, in each of which a frame was right."""
+    """The number of transactions; each has at least one correct frame."""
     damaged: int = 0
-    """The number of pieces that are no frame, outside of the stretches that are told."""
+    """The number of pieces that are no frame, outside of reported stretches."""
     stretch: _Stretch | None = None
     stretches: list[_Stretch] = field(default_factory=list)
 
@@ -180,8 +181,8 @@ class StrayBytes(SortedSense):
         _end_stretch(line)
 
     def _place(self, line: _StrayLine, after: NamedTransaction) -> None:
-        """Note of which frames the waiting single bytes are neighbours: those of the transaction
-        before them, or of the one `after`.
+        """Note the place of the waiting single bytes: next to a frame of the transaction before
+        them, or of the transaction `after`.
         """
         format_ = self._line_of(after.link)
         character_ns = 1_000_000 if format_ is None else format_.character_ns

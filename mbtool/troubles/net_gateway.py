@@ -1,31 +1,33 @@
-"""NET-BLOCKED, NET-SHARED and NET-LATE: requests that wait for another one, or that the master gave
-up.
+"""Finds NET-BLOCKED, NET-SHARED and NET-LATE: requests that wait for another request, and late
+answers.
 """
 
-# NET-BLOCKED  Behind one address are several units: a gateway with a line. While one is slow or
-#              silent there, the requests to the others wait, and fail or are slow, too. Slow
-#              (SLOW_NS) and unanswered requests are put in a row: each has its turn when the one
-#              sent before it has ended. A request is blocked if it waited for its turn, mostly for
-#              one to another unit. The unit that others wait for much more often than it waits for
-#              them in that time is the cause.
-# NET-SHARED   Several masters ask at once, and what they ask serves one request at a time, in their
-#              order: a gateway with one line. A request waits if one of another master was sent
-#              before it and is answered WAIT_NS or more after it was sent; that rest is its wait.
-#              It is shared if requests that wait longer are answered later, by as much: of all that
-#              wait, the latency rises with the wait within each poll (SLOPE), and nearly none
-#              (IN_ORDER) overtakes. A server that works for both at once is as quick as ever.
+# NET-BLOCKED  One address has several units: a gateway with a serial line behind it, which handles
+#              one request at a time. While one unit is slow or silent, the requests to the other
+#              units wait, and are slow or fail, too. Slow (SLOW_NS) and unanswered requests are
+#              sorted by time: the turn of each begins when the previous one ends. A request is
+#              blocked if it waited mostly for a request to another unit. A unit is the cause if
+#              others wait for it much more often than it waits for others in the same time.
+# NET-SHARED   Several masters ask one slave at the same time, and it handles one request at a time,
+#              in their order: a gateway with one line. A request waits if a request of another
+#              master was sent before it and is answered WAIT_NS or more after it was sent; this
+#              time is its wait. The slave is shared if the latency of the requests of each poll
+#              rises with the wait, by as much (SLOPE), and if hardly a request (IN_ORDER) is
+#              answered before the one that it waited for. A server that handles requests in
+#              parallel shows no such rise.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
-#              SLOW_NS or more after the first one: it had given up. Nearly always it then waited
-#              equally long. Masters that pipeline send requests at any time, and are left out.
+#              and this request came SLOW_NS or more after the first one: the master had given the
+#              first one up. Nearly always it waited equally long. Masters that pipeline send
+#              requests at any time, so they are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
-# often, and none is blamed; what is answered before a slow request did not wait for it. A slow
-# network makes all units slow alike. A PLC that answers all requests at the end of its cycle makes
-# nobody wait for the other (SERVED_NS). What waits for a unit that is much slower than others
-# (SLOWER) does so because of that unit.
+# often, so none is the cause. A request that is answered before a slow one did not wait for it. A
+# slow network makes all units equally slow. Masters of a PLC that answers all requests at the end
+# of its cycle do not wait for each other (SERVED_NS). Waits for a unit that is much slower than the
+# others (SLOWER) are that unit's fault, and do not count.
 #
-# Memory: KEPT slow requests, and KEPT requests that may wait, of each of at most MAX_LINKS links;
-# the last RECENT requests and some numbers of each of at most MAX_LINKS connections; MAX_EVIDENCE
+# Memory: KEPT slow requests, and KEPT requests that may wait, for each of at most MAX_LINKS links;
+# the last RECENT requests and a few numbers for each of at most MAX_LINKS connections; MAX_EVIDENCE
 # cases for each unit.
 
 from __future__ import annotations
@@ -180,6 +182,8 @@ class Gateways(Sense):
     def run(self, run: AnsweredRun) -> None:
         for form in run.forms():
             self._shared_by(form.like)
+        if run.longest_ns < min(WAIT_NS, SLOW_NS):
+            return
         for kind in run.kinds:
             like, longest_ns = kind.like, max(kind.latencies)
             if longest_ns < min(WAIT_NS, SLOW_NS):

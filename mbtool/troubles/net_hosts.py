@@ -1,14 +1,16 @@
-"""NET-TWO-MACS and NET-ROLE: hosts that are not what they were."""
+"""Finds NET-TWO-MACS and NET-ROLE: hosts with two MAC addresses, slaves that send requests."""
 
-# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times (in packets from it or to it),
-#               and talks with a host of its own network (the first three numbers of the IPv4
-#               address): somebody answers for it (ARP spoofing), or two devices have its address.
-#               Hosts of other networks have the MAC address of a router, and a capture on both
-#               sides of one has both; the shared addresses of router pairs (VRRP, HSRP) and a
-#               device that was replaced (all of the one, then all of the other, and no third host
-#               has the new one) are no such case.
-# NET-ROLE      A host that answered as a slave sends requests itself, LATER_NS after it was first
-#               heard as a slave or later. Concentrators do both from the beginning.
+# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times (in packets from the host or to
+#               it), and talks with a host of its own network (equal first three numbers of the IPv4
+#               address). So another machine answers in its place (ARP spoofing), or two devices
+#               have one IP address. Hosts of other networks are left out: they have the MAC address
+#               of a router, or several if the capture was made on both sides of it. Left out are
+#               also the shared addresses of router pairs (VRRP, HSRP), and a device that was
+#               replaced: its second address comes only after the last packet with the first one,
+#               and no third host has it.
+# NET-ROLE      A host that answered as a slave sends requests itself, and the first one comes
+#               LATER_NS or more after its first answer. Data concentrators do both from the
+#               beginning.
 #
 # Memory: MAX_HOSTS hosts, with at most MAX_MACS addresses each.
 

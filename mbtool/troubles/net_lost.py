@@ -1,17 +1,18 @@
-"""NET-LOST: TCP connections that were reset or refused."""
+"""Finds NET-LOST (TCP connections that were reset or refused) and NET-LOSSY (lost packets)."""
 
-# The statistics of a link (ledger/account.py) count how the connections of each master to each
-# slave ended; events of the decoder give the evidence. Some masters reset a connection on purpose
-# after each poll. If all connections that a master opens for single polls end so, and no request
-# was open then, NET-LOST has the severity of a note. A connection that was idle, or that the end of
-# the capture cuts, does not count as lost.
+# NET-LOST. The account (ledger/account.py) counts how the connections of each master to each slave
+# ended; events of the decoder are the evidence. Some masters reset a connection on purpose after
+# each poll. If all connections that a master opens for single polls end like this, and no request
+# was open then, NET-LOST is a note. A connection that was idle, or that was open at the end of the
+# capture, does not count as lost.
 #
-# A request that was open when its connection was reset has no answer because of that. If most
-# missing answers of a unit have this cause, NET-LOST tells them, and no trouble is told of the
-# unit. How long the master asked nothing is the time from a reset to its next connection.
+# A request that was open when its connection was reset has no answer for this reason. If this is
+# true of most missing answers of a unit, only NET-LOST reports them, and the unit has no trouble of
+# its own. The time in which the master could not ask is the time from a reset to its next
+# connection.
 #
-# Memory: MAX_EVIDENCE events, and numbers for each unit, for each of at most MAX_LINKS masters of a
-# link; the last request of each of at most MAX_LINKS connections.
+# Memory: MAX_EVIDENCE events, and a few numbers for each unit, for each of at most MAX_LINKS pairs
+# of link and master; the last request of each of at most MAX_LINKS connections.
 
 from __future__ import annotations
 
@@ -34,22 +35,22 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
-# NET-LOSSY: a path between master and slave that loses packets.
+# NET-LOSSY: the network between master and slave loses packets.
 #
-# A sender that gets no acknowledgement sends its segment again, after 200 ms or longer. The decoder
-# tells of that (EventKind.SENT_AGAIN). It is a loss if the connection goes on: what is sent to a
-# dead host, too, is sent again, but nobody ever answers it. So a retransmission counts only when
-# the master gets an answer after it.
+# A sender that gets no acknowledgement sends its segment again after 200 ms or longer. The decoder
+# reports this (EventKind.SENT_AGAIN). Segments to a dead host are sent again, too. So a
+# retransmission counts as a loss only if the master gets an answer after it.
 #
-# False alarms: a device that acknowledges late, as it is busy, looks the same, so the words say so.
-# Copies that a mirror port makes come within some ms, and the decoder leaves them out.
+# False alarms: a busy device that acknowledges late causes the same retransmissions, so the text of
+# the trouble names it, too. Copies from a mirror port come within a few ms, and the decoder leaves
+# them out.
 #
 # Memory: MAX_EVIDENCE cases and PENDING retransmissions for each of at most MAX_LINKS masters of a
 # link.
 
 ENOUGH = 3
 HELD_NS = 1_000_000_000
-"""Fewer retransmissions than ENOUGH are told if one held an answer up for so long (ns)."""
+"""Even fewer retransmissions than ENOUGH are reported if one delayed an answer by so long (ns)."""
 PENDING = 64
 
 
@@ -137,7 +138,7 @@ BLAMED = 0.5
 """A unit is not blamed if at least this share (0 to 1) of its missing answers were cut off."""
 SHORTEST_PAUSE_NS = 100_000_000
 NOBODY = -2
-"""Stands for the units that a lost connection explains, if there is none."""
+"""Stands in place of a unit if a lost connection explains the failures of none."""
 _ENDS = ("connection closed: reset", "connection closed: refused")
 
 

@@ -1,16 +1,17 @@
-"""NET-ONE-SIDE and NET-DELAYED-ACK: what the account of a network shows."""
+"""Finds NET-ONE-SIDE and NET-DELAYED-ACK from the statistics of a network link."""
 
-# NET-ONE-SIDE     Nothing of a slave is answered, and of most transactions the capture lacks one
-#                  half, always the same: only one direction of the packets was recorded. A mirror
-#                  port that loses packets lacks now this, now that half.
-# NET-DELAYED-ACK  A sender waits with the second part of a message until the first is acknowledged,
-#                  and the receiver delays that (40 or 200 ms, as Linux and Windows do). Either the
-#                  two parts are seen, nearly always that long after each other; or a poll takes
-#                  nearly always that long, while other polls of the same slave are quick. A slave
-#                  whose polls all take that long may just need it, and nothing is said.
+# NET-ONE-SIDE     No request is answered, and of most transactions the capture lacks one half,
+#                  always the same one: only one direction of the packets was recorded. A mirror
+#                  port that drops packets loses requests as often as responses.
+# NET-DELAYED-ACK  A sender holds the second part of a message back until the first part is
+#                  acknowledged, and the receiver delays this acknowledgement (40 ms on Linux, 200
+#                  ms on Windows). Either the two parts are seen, nearly always this time apart. Or
+#                  a poll nearly always takes this time, while other polls of the same slave are
+#                  quick. If all polls of a slave take this time, the slave may need it, and no
+#                  trouble is reported.
 #
-# Memory: numbers, MAX_EVIDENCE cases and TIMES times for each of at most MAX_LINKS senders of
-# messages in parts; the account has the rest.
+# Memory: a few numbers, MAX_EVIDENCE cases and TIMES times for each of at most MAX_LINKS senders of
+# messages in two parts. The account (ledger/account.py) has the other figures.
 
 from __future__ import annotations
 

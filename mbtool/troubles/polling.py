@@ -1,10 +1,11 @@
-"""Finds what is odd in the polling though requests are answered: pauses, late answers, connections.
+"""Finds troubles of polling in which all requests are answered: pauses, late answers, and one
+connection for each request.
 
-Each is found by figures of `Statistics`, and so without a look at single transactions.
+The figures of the account (ledger/account.py) show them; single transactions are not needed.
 """
 
-# `watch` calls this once a second, so what costs more than a comparison is computed only where a
-# duration is long enough to be told, or where a master has opened many connections.
+# `watch` calls these functions once a second. So costly figures are computed only where a duration
+# is long enough to be reported, or where a master has opened many connections.
 
 from __future__ import annotations
 
@@ -178,7 +179,7 @@ def _pause(polls: list[PollStatistics]) -> PollingPause | None:
         return None
     usual_ns = poll.period.percentile(50)
     pause_ns = max(PAUSE_NS, PAUSE_TIMES * usual_ns)
-    number = poll.period.number_from(pause_ns)
+    number = poll.period.count_at_least(pause_ns)
     if not number:
         return None
     cases = tuple(one for one in poll.longest if one[0] >= pause_ns)
@@ -196,12 +197,12 @@ def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
         if latency.count < ENOUGH_ANSWERS or latency.greatest < LATE_NS:
             continue
         usual_ns = latency.percentile(50)
-        # In whole ms, because a user searches for it.
+        # Round up to whole ms, because the user searches with this number.
         late_ns = -(-max(LATE_NS, LATE_TIMES * usual_ns) // _MS) * _MS
         if latency.greatest < late_ns:
             continue
         unit = poll.key.link, poll.key.unit
-        number = latency.number_from(late_ns)
+        number = latency.count_at_least(late_ns)
         one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns, (poll,))
         other = found.get(unit)
         found[unit] = one if other is None else _with(other, one)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 K = TypeVar("K")
 
 MANY_REFUSING = 4
-"""If at least this many units, and half of all, refuse requests, they are told as one trouble: the
+"""If at least this many units, and half of all, refuse requests, one trouble reports all: the
 requests are wrong, not the units."""
 SCAN = 20
 """At least so many different requests, few of them sent twice, are called a scan."""

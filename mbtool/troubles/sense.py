@@ -1,4 +1,4 @@
-"""What each kind of trouble is found by: a sense, which takes all records in order."""
+"""The base classes of senses: a sense takes all records and finds some kinds of troubles."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 class Sense:
     """Takes the records of a capture, as a decoder returns them, and finds troubles of some kinds.
 
-    It counts nothing that the account (the room ledger) counts: `troubles` gets that. Its memory is
-    bounded; each module states its bound. It may be asked at any time, and goes on afterwards.
+    It counts nothing that the account (ledger/account.py) counts: `troubles` gets these figures.
+    Its memory is bounded; each module states its bound. `troubles` may be called at any time.
     """
 
     def begin_capture(self) -> None:

@@ -1,4 +1,4 @@
-"""Finds the units that became slower, and since when they are."""
+"""Finds the units that became slower, and the time since when they are slower."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     if bins[first - 1].end_ns == since[0].begin_ns == since_ns:
         since_ns -= slow_ns(bins[first - 1])
     is_long = bins[-1].end_ns - bins[0].begin_ns >= DAY_NS
-    # The unit may have become slower within the bin before the first slow one, and later bins may
-    # have single late answers.
+    # Leave out the last bin before the slow ones, because the unit may have become slower in it.
+    # Leave out the second half of the recording, because it may have single late answers.
     before = bins[: max(min(first - 1, half), 1)]
     return Slower(since_ns, _mean(since), _mean(before), is_long)
 

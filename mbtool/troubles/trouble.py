@@ -1,8 +1,8 @@
 """A trouble: what is wrong with a link, a unit or a master, why, what to do, and the evidence."""
 
-# Text and figures are apart: words.py has one row for each code, with the cause and the remedy as
-# templates; a rule makes a Trouble with the figures that stand in them. So every command shows the
-# same words, and decides only how many troubles and how long.
+# Texts and figures are separate. words.py has one row for each code, with cause and remedy as
+# templates; a rule makes a Trouble with the figures for these templates. So every command shows the
+# same texts. A command only decides how many troubles it shows, and how much of each.
 
 from __future__ import annotations
 

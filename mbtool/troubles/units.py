@@ -1,9 +1,8 @@
-"""Judges units by their accounts: silent, missing, damaged, malformed, refused and slow answers."""
+"""Finds the troubles of units: silent, missing, damaged, malformed, refused and slow answers."""
 
-# Limits: failed_shares.py says which share of the requests failed in which
-# time, and if that is a small thing; slow_units.py and slower_units.py, which latency is slow. A
-# unit that never answers has no other trouble. Requests that a unit refuses each time have no
-# beginning.
+# failed_shares.py computes which share of the requests failed in which time, and if this share is
+# small; slow_units.py and slower_units.py decide which latency is slow. A unit that never answers
+# has no other trouble. If a unit refuses a request each time, the trouble has no beginning.
 
 from __future__ import annotations
 
@@ -164,7 +163,7 @@ def _refusal(unit: _JudgedUnit) -> Trouble | None:
     requests, part = _requests(share), _part_text(share)
     refused = always_refused(unit.polls, unit.tally)
     if refused:
-        # No beginning is told of requests that the unit refuses each time.
+        # The trouble has no beginning if the unit refuses the request each time.
         share = share._replace(since_ns=None, until_ns=None)
         requests, part = _named(refused, unit), ""
     codes, advice = _codes(unit.tally)
@@ -192,7 +191,7 @@ def _codes(tally: RequestTally) -> _Joined:
     about the most frequent one.
     """
     often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
-    if not often:  # Only a log that another program wrote lacks them.
+    if not often:  # Only logs of other programs lack the codes.
         return _Joined("with unknown codes", _OTHER_ADVICE)
     names = [exception_text(code, tally.exception_names[code]) for code in often]
     text = f"with {names[0]}"

@@ -1,30 +1,35 @@
-"""VALUE-...: numbers in registers that do what a quantity does not do by itself.
+"""Finds VALUE-...: numbers in registers that change as a measured quantity does not change.
 
-The registers of each kind of request are followed over the whole recording (values/movements.py),
-as the numbers that a profile names, or that their words show. At the end, or when somebody asks,
-these rules look at each number. What it did most of the time is its norm, together with what it did
-in a baseline recording, if there is one:
+The numbers in the registers of each poll are followed over the whole recording
+(values/movements.py). The profile names the numbers; without a profile, their types are judged from
+the values. These rules compare each number with its own usual behaviour, in this recording and in a
+baseline recording, if there is one:
 
-- VALUE-STUCK: it moved, and then stays, much longer than ever else, while others in the same answer
-  move as before. A number at 0 or at a round one may rest there, a counter may stand.
-- VALUE-JUMPED: one answer (or a few) is far away and then all is as before; or it moves in small
-  steps over a long way, and once in a large one. If others jump at the same time, it is the plant.
-- VALUE-RESET, VALUE-BACKWARDS: it only rises, and falls once; not if it went on behind its last
-  digit, such as 59, 9999 or 65535.
-- VALUE-NONE: FFFFH, 8000H, 7FFFH (with 32 bits, too) or NaN among numbers that are far from it.
-- VALUE-RANGE, VALUE-NOT-VALID: what the profile says of a number, or of the bits of a state.
+- VALUE-STUCK: the number moved, then stays the same for much longer than ever before, while other
+  numbers in the same answer move on. A number may rest at 0 or at a round value, and a counter may
+  stand still; neither counts.
+- VALUE-JUMPED: the number is far away in one answer (or in a few), and then as before; or it moves
+  over a long way in small steps, with one large step. If other numbers jump at the same time, the
+  plant changed, and nothing is reported.
+- VALUE-RESET, VALUE-BACKWARDS: the number only rises, and falls once. A counter that overflows,
+  such as after 59, 9999 or 65535, does not count.
+- VALUE-NONE: FFFFH, 8000H, 7FFFH (also with 32 bits) or NaN, while all other values are far away.
+- VALUE-RANGE, VALUE-NOT-VALID: the number is outside the range that the profile gives, or the
+  profile says that a bit or state makes other values invalid.
 
-A register that a master writes is set, and none of these. Ambiguous frames are left out.
+Registers that a master writes, and ambiguous frames, are left out.
 """
 
-# False alarms: the rules ask for LEARN answers, and for many changes before a fault. A process may
-# do the same once (a lamp that is switched on for a moment), so the sureness is `likely`.
+# False alarms: the rules need at least LEARN answers, and many changes before a fault. A process
+# can do the same once (such as a lamp that is switched on for a moment), so the troubles have the
+# sureness `likely`.
 #
-# With a baseline, each kind of request goes on with a copy of its figures there, as after a pause
-# of the polling. What happened in the baseline is not told, except what the profile forbids.
+# With a baseline, the figures of each poll continue from a copy of the baseline's figures, as after
+# a pause of the polling. Faults in the baseline itself are not reported, except values that the
+# profile forbids.
 #
-# Memory: MAX_POLLS kinds of requests, with BATCH words or LEARNT answers each; some hundred bytes
-# for each number; MAX_JUDGED registers whose types are judged.
+# Memory: MAX_POLLS polls, with BATCH words or LEARNT answers each; some hundred bytes for each
+# number; MAX_JUDGED registers whose types are judged.
 
 from __future__ import annotations
 
@@ -176,7 +181,7 @@ class ValueFaults(Sense):
         """For polls of slaves that may have a profile: their first transaction."""
         self._written: set[tuple[str, int, Table, int]] = set()
         self._much_written: set[tuple[str, int]] = set()
-        """Units of which not all written registers are known, so that nothing is told of them."""
+        """Units with too many written registers to know all; no trouble is reported for them."""
         self._judged = 0
 
     def judge_by(self, norm: ValueFaults) -> None:
@@ -184,7 +189,7 @@ class ValueFaults(Sense):
         self._norm = norm
 
     def become_norm(self) -> None:
-        """Join the captures that follow: they are a baseline, and no trouble is told of them."""
+        """Take the next captures as the baseline, for which no trouble is reported."""
         self._is_norm = True
 
     def begin_capture(self) -> None:
@@ -235,7 +240,11 @@ class ValueFaults(Sense):
                 self._note_write(one.link, one.unit, function.table, span)
                 continue
             key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
-            poll = self._polls.get(key) or self._new_poll(key)
+            poll = self._polls.get(key)
+            if poll is None:
+                if len(self._polls) >= MAX_POLLS:
+                    continue
+                poll = self._new_poll(key)
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())
@@ -280,7 +289,7 @@ class ValueFaults(Sense):
     def _movements(self, key: _Key, poll: _FollowedAnswers) -> Movements | None:
         """Return the figures of all answers of a poll; None if nothing is known of its values."""
         if poll.movements is None and not poll.is_left_out and len(poll.times) < LEARN:
-            return None  # So a small capture does without numpy, which takes long to load.
+            return None  # Small captures need no numpy, which loads slowly.
         from mbtool.values.movements import Movements
 
         rows = len(poll.times)
@@ -313,20 +322,22 @@ class ValueFaults(Sense):
         table = FUNCTIONS[key.function].table
         assert table is not None
         size = key.quantity
-        number = LEARN
-        while number * 2 <= min(len(poll.times), LEARNT):
-            number *= 2
-        if len(poll.times) < number:
-            return False
-        rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
         like = self._like.get(key)
         profile = None if like is None else self._assignments.profile_for(like)
-        if profile is None and all(row == rows[0] for row in rows):
+        while True:
+            number = LEARN
+            while number * 2 <= min(len(poll.times), LEARNT):
+                number *= 2
+            if len(poll.times) < number:
+                return False
+            rows = [tuple(poll.words[at : at + size]) for at in range(0, number * size, size)]
+            if profile is not None or any(row != rows[0] for row in rows):
+                break
             if number < LEARNT:
                 return False
+            # Registers that never changed tell no type, so later answers are looked at.
             del poll.times[: LEARNT - 1], poll.words[: (LEARNT - 1) * size]
             poll.rested += LEARNT - 1
-            return self._find_values(key, poll)
         if poll.learnt == number:
             return True
         times = poll.times[:number].tolist()
@@ -360,7 +371,7 @@ class ValueFaults(Sense):
                 for case in _cases(movements, [one for _, one, _ in own if one is not movements])
                 if not _is_of_norm(case, poll.norm_ns)
             ]
-            # A register has one fault; the same one may show in several polls.
+            # Report one fault for each register. Several polls may show the same one.
             cases.sort(key=lambda one: _CODES.index(one[2].code))
             if (link, unit) in self._much_written:
                 continue
@@ -452,8 +463,8 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
         return False
     away = max(low - unset.number, unset.number - high)
     if unset.number == (1 << 16 * movements.values[place].reading.words) - 1:
-        away = min(away, low + 1)  # A number near 0 that falls to -1 looks the same.
-    if not away <= FAR * (high - low):  # Of NaN, too, this is true.
+        away = min(away, low + 1)  # FFFFH may be -1, next to 0.
+    if not away <= FAR * (high - low):  # True for NaN as well.
         return True
     # Two steps may be larger than usual, as the number went on meanwhile.
     return away >= JUMP * movements.steps(place)[2].size

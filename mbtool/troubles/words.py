@@ -1,9 +1,9 @@
-"""The one table of words: for each kind of trouble its severity, cause and remedy."""
+"""The table of texts: severity, cause and remedy of each kind of trouble."""
 
 # docs/troubles.md has a section for each row, with a picture of the bytes or packets; a test
-# compares the two. In the templates, {who}, {link}, {count}, {of} and {when} are those of the
-# Trouble; the other names are its figures. A cause without {when} ends with it. The order of the
-# rows is the order in which troubles of equal severity are told.
+# compares the two. In the templates, {who}, {link}, {count}, {of} and {when} are fields of the
+# Trouble; the other names are its figures. If a cause has no {when}, it is added at the end.
+# Troubles of equal severity are listed in the order of the rows.
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Words:
     """What is wrong in a few words, for the row of a unit or link; a template. Empty for the
     code."""
     explains: tuple[str, ...] = ()
-    """The codes of broken rules, and of other troubles, that this trouble is the cause of; they are
-    told no second time."""
+    """The codes of broken rules and other troubles that this trouble causes; they are not
+    reported."""
 
 
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
@@ -233,8 +233,8 @@ _ROWS = (
     ),
     Words(
         "UNIT-SLOW", _W,
-        "{who} is slow: half of its answers take {median} or more, those of most others {usual} or "
-        "less",
+        "{who} is slow: half of its answers take {median} or more, those of most others "
+        "{usual} or less",
         "give it a time-out of its own, poll it more rarely, or ask less in one request",
         "unit", "slow, {median}",
     ),

@@ -1,8 +1,8 @@
-"""Finds judgements that the words cannot settle, however well they fit.
+"""Finds values whose type stays in doubt, however well the words of the registers fit it.
 
-The likelihoods of a division compare ideas that can be told apart. Some cannot be: a register that
-never changes may be anything, and one that moves beside a 0 that never changes may be the low word
-of a longer number.
+The likelihoods of a division compare types that give different numbers. Some types cannot be
+distinguished: a register that never changes may be anything, and one that changes next to a
+register that is always 0 may be the low word of a longer number.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbtool.values.word_readings import Order
 
 IN_DOUBT = 0.9
-"""The likelihood of a judgement in doubt is at most this."""
+"""The likelihood of a type in doubt is at most this."""
 _EVIDENT = 2
 """So many numbers of two registers that are beyond doubt vouch for others of their order."""
 _LARGE_SPREAD = 4096

@@ -1,11 +1,12 @@
 """Drafts a device profile from the observed traffic of a slave."""
 
-# Functions and addresses that the slave accepted are in the draft, and so are its exception codes.
-# Functions that it refused with exception 01, and addresses that it refused with 02 or 03, are not.
-# Addresses without any response are in the draft, with a comment. judging.py judges the types of
-# registers; the reason for each is a comment, and a question where they cannot be known.
+# The draft has the functions and addresses that the slave accepted, and its exception codes. It
+# leaves out functions that the slave refused with exception 01, and addresses that it refused with
+# 02 or 03. Addresses without any response are in the draft, with a comment. judging.py finds the
+# types of registers: a comment gives the reason for each type, and asks a question if the type
+# cannot be known.
 #
-# Limit: MAX_POINTS points. A comment says how many more registers there are.
+# Limit: MAX_POINTS points. A comment gives the number of the remaining registers.
 
 from __future__ import annotations
 

@@ -1,26 +1,27 @@
 """Finds the registers that hold a number which somebody saw on a display."""
 
-# Each way to read each register (a type, an order, a decimal scale) is an idea of where the number
-# comes from. How probable it makes what was seen:
+# An idea is one way to read one register or several: a type, an order of words, and a decimal
+# scale. A sighting is a number that the user saw on a display. Each idea is compared with the
+# sighting:
 #
-#   - with the time of the sighting: the register's value right before and right after it; a display
-#     may lag by a usual step of the value
-#   - without: the values of the whole recording, and a little beyond them, as the number may have
-#     been seen shortly before or after it
+# - with the time of the sighting: with the register's values right before and right after this
+#   time; a display may lag by one usual step of the value;
+# - without: with the values of the whole recording, and a little beyond them, since the user may
+#   have seen the number shortly before or after it.
 #
-# A register that never had the number in the recording is less than half likely, even if no other
-# one is near: what was seen before or after the recording is seldom known to be seen there.
+# If a register never had the number in the recording, it is less than half likely, even if no other
+# register comes near: a user seldom saw the number just before or after the recording.
 #
-# A register that takes many values makes each of them less probable. So a constant that matches by
-# chance and a noisy value compete fairly, and a second sighting decides between them. Several
-# sightings of one display are multiplied.
+# The more values a register takes, the less probable is each of them. So a constant that matches by
+# chance and a noisy value compete fairly, and a second sighting decides between them. The
+# probabilities of several sightings of one display are multiplied.
 #
-# Before any sighting, a reading is as probable as `judging.py` finds it. With several numbers, each
+# The prior probability of an idea comes from `judging.py`. If the user names several numbers, each
 # register can be at most one of them, so the probabilities are balanced (Sinkhorn): a register that
 # explains one number well is less probable for the others. Numbers that are named one after the
-# other, such as those of three phases, often lie at equal distances: a distance that many pairs of
-# neighbours have makes other pairs at this distance more probable. NOWHERE stands for a number that
-# is in no register.
+# other, such as three phases, often lie at equal distances in the map. So a distance that many
+# pairs of neighbours have makes other pairs with this distance more probable. NOWHERE is the
+# probability that a number is in no register.
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ _NOWHERE_OF_ITS_SIZE = 0.01
 """That probability for each unit of the relative tolerance, as a number of many digits seldom
 equals a register by chance."""
 _UNJUDGED = 0.02
-"""The share of a reading that the judgement does not favour."""
+"""The prior probability of an idea that judging.py does not favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
 _WHOLE_SCALES = {
     0: 0.32,
@@ -467,7 +468,7 @@ def _with_strides(
                     for other, other_share in others
                     if _are_alike(ideas, key, other)
                 )
-                # What the pair itself gives to its distance is no support for it.
+                # A pair does not support its own distance.
                 support = max(support - share, 0.0) / total
                 changed[key] *= 0.5 + 0.5 * places * support
         better.append(changed)

@@ -1,8 +1,9 @@
 """Joins the series of registers into series of numbers where their type is sure enough."""
 
 # The series of a register has its changes. At each time at which a register of a range changes, the
-# registers of the range are a row; the rows are judged as answers are (judging.py). A series whose
-# samples were thinned out has lost which changes came together, so it stays as it is.
+# registers of the range are one row. The rows are judged like answers (judging.py). If samples of a
+# series were dropped at its limit, it is not known which changes came together, so its register is
+# not joined.
 #
 # Only registers that no profile names are joined. The name of a joined series ends in MARK.
 
@@ -126,7 +127,7 @@ def _judged(
 
 def _history(registers: Sequence[_Register]) -> WordHistory:
     """The words of a range at each time at which one of them changes."""
-    # A register that was first seen later has its first value before that, too.
+    # Before a register is first seen, use its first value.
     changes: dict[int, list[tuple[int, int]]] = {}
     for place, one in enumerate(registers):
         for sample in one.series.samples:

@@ -1,21 +1,21 @@
-"""Judges what the registers of a device hold, from the words that they had over time."""
+"""Finds the most probable types of the registers of a device, from their words over time."""
 
-# The input is what is known of a device: the words of its registers over time, and which registers
-# a master asks for together. `segmentation.py` divides each range that was read into values;
-# `number_costs.py` says how well numbers fit. The evidence:
+# The input is the words of the registers over time, and which registers a master reads together.
+# `segmentation.py` divides each range that was read into values; `number_costs.py` computes how
+# well numbers fit a type. The evidence:
 #
-#   - the numbers that the words give, read as each type: do they change smoothly, have few
-#     decimals, begin near 0?
-#   - a register that carries into another, and one that is the sign of another, make one number
-#     cheaper than two
-#   - a request whose range begins or ends inside a supposed value is evidence against it; a request
-#     for exactly its registers is evidence for it
-#   - values of one kind stand side by side
-#   - a device has one order of words, and its kinds of values: what is found in all its registers
-#     counts for each of them (ROUNDS times over)
-#   - the time of the recording, for clocks
+# - the numbers that the words give, read as each type: do they change smoothly, have few decimals,
+#   and begin near 0?
+# - if a register carries into another one, or is the sign of another one, the two are cheaper as
+#   one number
+# - a request whose range begins or ends inside a supposed value is evidence against this value; a
+#   request for exactly its registers is evidence for it
+# - values of the same kind are often neighbours
+# - a device has one order of words, and a few kinds of values: the result for all its registers
+#   counts for each of them, ROUNDS times in turn
+# - the time of the recording, for clocks
 #
-# Memory and time: at most MOST_ROWS rows of each range are looked at.
+# Memory and time: at most MOST_ROWS rows of each range are examined.
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 
 SURE = 0.95
-"""A judgement at least as likely as this may be shown without being asked for."""
+"""A type at least as likely as this may be shown, even if the user does not ask for types."""
 MOST_ROWS = 150
 ROUNDS = 3
 ACROSS_A_REQUEST = 12.0
@@ -189,7 +189,7 @@ class _Range:
             if signed == sorted(signed):
                 cost += COUNTS_FROM_BELOW
             yield Option(WordReading(PointType.INT16), cost)
-        # Bits may change twice between two samples, so all rows are looked at.
+        # Examine all rows, because bits may change twice between two samples.
         place = self.span.start + at - self.history.first
         if (cost := flags_cost([row[place] for row in self.history.rows])) < IMPOSSIBLE:
             yield Option(WordReading(PointType.HEX16), cost)
@@ -249,7 +249,7 @@ class _Range:
         if kind is Kind.BCD2:
             return _whole_series_cost(whole, 27) if moves and max(whole) > 9 else IMPOSSIBLE
         if reading.type in _SIGNED.values() and max(whole) < 1 << (bits - 1):
-            return IMPOSSIBLE  # The same number as if it were signed, which is looked at already.
+            return IMPOSSIBLE  # The unsigned type gives the same numbers.
         if bits == 32 and is_clock(whole, self.times_ns):
             return CLOCK
         cost = _whole_series_cost(whole, bits)

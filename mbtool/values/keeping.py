@@ -1,9 +1,9 @@
-"""Keeps found places as points of a profile, and writes them into the text of a profile."""
+"""Adds found places of numbers as points to a profile, and writes them into the profile's text."""
 
-# In the text of a profile, a block begins with a line such as [[points]], or with the comment right
-# above it, and ends before the next one; the tables of a point, such as [points.texts], are in its
-# block. A block of a point that has some of the same registers as a new one is left out, except
-# comments that stand alone between empty lines. All else stays as it is.
+# In the text of a profile, a block begins with a line such as [[points]], or with a comment
+# directly above it, and ends before the next block. The tables of a point, such as [points.texts],
+# are in its block. If an old point has one of the registers of a new point, its block is removed,
+# except comments between empty lines. Everything else stays unchanged.
 
 from __future__ import annotations
 

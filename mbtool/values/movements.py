@@ -1,8 +1,8 @@
-"""Follows how the values of one kind of answer move, all of them together."""
+"""Follows how all values in the answers to one poll change over time."""
 
-# `Movements` takes answers in any portions, with the same result: it keeps sums, extremes and the
-# largest of some figures. A number that stands for "no value" is counted, and otherwise replaced
-# by the number before it. After a pause of the polling, no step is counted.
+# `Movements` takes the answers in any portions, with the same result: it keeps sums, extremes and
+# some largest figures. A number that stands for "no value" is counted, and replaced by the number
+# before it. The first step after a pause of the polling is not counted.
 #
 # Memory: about 60 numbers for each value.
 
@@ -134,7 +134,7 @@ class Movements:
         )
         self._is_float = np.array([one.reading.type.is_float for one in values], np.bool_)
 
-    @np.errstate(all="ignore")  # A device may send any number, also the largest of 64 bits.
+    @np.errstate(all="ignore")  # A device may send any number, so sums may overflow.
     def add(self, times_ns: Sequence[int], words: bytes) -> None:
         """Take answers: their times, and their registers one after the other (native order)."""
         times = np.array(times_ns, np.int64)

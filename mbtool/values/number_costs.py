@@ -1,16 +1,18 @@
-"""Tells how well a series of numbers fits an idea of what it is, as a cost in bits."""
+"""Computes, as a cost in bits, how well a series of numbers fits a type of value."""
 
-# The cost is the length of the series in a code that is short for what values of devices do: begin
-# near 0, have few decimal digits, change by about as much as before. The idea of the registers
-# whose code is the shortest is the most probable: one bit less is twice as probable.
+# The cost is the length of the series in a code. This code is short for series that are usual for
+# devices: numbers that begin near 0, have few decimal digits, and change by about as much as
+# before. The type with the shortest code is the most probable one: one bit less is twice as
+# probable.
 #
-# Changes are coded by their size: the number k of binary digits of the change, and then k - 1
-# digits. k is cheap if earlier changes had it. So 60 changes of a counter, or of a noisy value,
-# cost what their digits cost, and one change of another size (a carry read as a fall) costs much.
+# Each change is coded as k, its number of binary digits, and then its k - 1 digits after the first.
+# k costs little if earlier changes had the same k. So the changes of a counter or of a noisy value
+# cost about as much as their digits, and a single change of another size (such as a carry that is
+# read as a fall) costs much.
 #
-# The samples of a series are not independent, and no device is exactly as the code supposes. So the
-# cost of all changes counts as if there were at most INDEPENDENT of them; the dearest ones, such as
-# a carry that is read as a fall, count in full.
+# The samples of a series depend on each other, and no device is exactly as the code supposes. So
+# the sum of the costs of all changes is scaled as if there were at most INDEPENDENT of them. The
+# costliest changes, such as a carry that is read as a fall, count in full.
 
 from __future__ import annotations
 
@@ -61,12 +63,12 @@ def changes_cost(numbers: Sequence[int], bits: int) -> float:
     cost = _steps_cost(numbers, bits)
     if cost < _CHEAP or len(numbers) < 3:
         return cost
-    # A number that goes on as before is known by the changes of its changes.
+    # A number that rises or falls evenly is cheaper as the changes of its changes.
     further = [after - before for before, after in pairwise(numbers)]
     cost = min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
     states = set(numbers)
     if len(states) <= _MOST_STATES and len(states) * 3 <= len(numbers):
-        # A number that has only a few values is known by them.
+        # A number with few different values is cheaper as a list of them.
         news = sum(whole_cost(one, bits) for one in states) - whole_cost(numbers[0], bits)
         cost = min(cost, news + math.log2(len(states)) * min(len(numbers), INDEPENDENT))
     return cost

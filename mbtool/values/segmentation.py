@@ -1,11 +1,11 @@
 """Divides the registers of a range into values, by what every division costs."""
 
-# Every part of a range may be a value of some kind: one register, two with an integer, four with a
-# float. Each such candidate has a cost in bits. A division is a series of candidates that covers
-# the range; its cost is the sum of theirs and of the steps from kind to kind, as values of one kind
-# stand side by side. The best division is the cheapest one. The likelihood of a candidate is the
-# share of all divisions that have it, each weighted with 2 to the power of its negative cost
-# (the forward-backward algorithm of a semi-Markov chain).
+# Every part of a range may be a value: one register, two with an integer, four with a float. Each
+# such candidate has a cost in bits. A division is a series of candidates that covers the range. Its
+# cost is the sum of the costs of its candidates, and of a cost for each change from one kind to
+# another, because values of the same kind are often neighbours. The best division is the cheapest
+# one. The likelihood of a candidate is the share of all divisions that contain it, each weighted
+# with 2 to the power of its negative cost (the forward-backward algorithm of a semi-Markov chain).
 #
 # Time and memory: proportional to the number of candidates.
 

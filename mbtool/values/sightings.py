@@ -2,12 +2,13 @@
 
 #     [NAME=]NUMBER[+-TOLERANCE][UNIT][@TIME]
 #
-# A number means what a display rounds to it: 23.4 is 23.35 to 23.45. Numbers with the same name are
-# one display, seen several times; so are numbers without a name that have a time. Any other number
-# is a display of its own. A time is a moment, a time since the recording began, or a time of day.
+# A number stands for the range that a display rounds to it: 23.4 is 23.35 to 23.45. Numbers with
+# the same name were seen on one display; so were numbers without a name that have a time. Any other
+# number is on a display of its own. A time is a date and time, a time since the recording began, or
+# a time of day.
 #
 # A file of such numbers has a row for each time, separated by commas, semicolons or tabs: the time,
-# then a number for each display. A first row of words names them.
+# then a number for each display. A first row of words has the names of the displays.
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices.observed_slave import ObservedSlave
 
-# The words that a slave's registers had over time, as `judging.py` looks at them.
+# Word histories: the words of a slave's registers over time, as judging.py takes them.
 
 
 def histories_of(seen: ObservedSlave) -> list[WordHistory]:
@@ -45,8 +45,8 @@ MAX_TEXTS = 32
 class SeriesSample(msgspec.Struct, frozen=True, gc=False):
     """A value, and the time (UTC ns) at which it was first seen after another value."""
 
-    # There are many samples, and none refers to other objects: the garbage collector, which would
-    # look at each again and again, need not know them (gc=False).
+    # There are many samples, and none refers to other objects. gc=False keeps them out of the
+    # garbage collector, which would examine each again and again.
 
     ts_ns: int
     value: float

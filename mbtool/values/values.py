@@ -2,8 +2,9 @@
 
 # If the slave has a profile, the values of its points are collected; otherwise the numbers in
 # registers and bits. A poll is a series of equal requests. A transaction with the same values as
-# the last one of its poll changes nothing, and is left out at once; not so if another poll reads or
-# writes some of the same registers or points, as it may have changed them.
+# the last one of its poll is left out at once, because it changes nothing. It is not left out if
+# another poll reads or writes some of the same registers or points, because that poll may have
+# changed them.
 #
 # Memory: MAX_SERIES points and registers (value_series.py); at most MAX_OF_POLL registers of one
 # poll; the last values of MAX_POLLS polls. `left_out` counts the points and registers beyond these

@@ -52,7 +52,7 @@ class Document(Protocol):
     ) -> str:
         """Return the last piece.
 
-        `failed` has the numbers of requests without a good answer. `judgement` says what is wrong.
+        `failed` has the numbers of requests without a good answer. `judgement` has the troubles.
         `remarks` are lines about the files. `is_whole` is False if a part of the files was not
         checked.
         """

@@ -2,8 +2,7 @@
 
 # The JSON has the fields of InventoryDocument (ledger/inventory_rows.py), the program's version,
 # whether the files could be read to their ends, remarks about them and, if the user names an older
-# inventory as baseline, the changes since it. mbtool can read this
-# JSON again as a baseline.
+# inventory as baseline, the changes since then. mbtool can read this JSON again as a baseline.
 #
 # A row of CSV is a unit of a host, or a master; a master's row has no unit. Several values in a
 # cell are separated by "; ". A spreadsheet would take a text that begins with = + - or @ as a

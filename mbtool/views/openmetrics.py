@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.ledger.account import OTHER_UNITS
+from mbtool.ledger.distribution import PERCENTILES
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.troubles.judge import Judgement
-
-QUANTILES = (0.5, 0.95, 0.99)
 
 
 def openmetrics(judgement: Judgement) -> str:
@@ -45,11 +44,10 @@ def _latencies(judgement: Judgement) -> Iterator[str]:
             labels = {"link": link.name, "unit": _unit(one.unit), "function": f"{one.function:02X}"}
             latency = one.tally.latency
             if latency.count:
-                for quantile in QUANTILES:
-                    value = latency.percentile(quantile * 100) / 1e9
-                    yield _sample(
-                        "mbtool_latency_seconds", {**labels, "quantile": str(quantile)}, value
-                    )
+                for percent in PERCENTILES:
+                    value = latency.percentile(percent) / 1e9
+                    quantile = {**labels, "quantile": str(percent / 100)}
+                    yield _sample("mbtool_latency_seconds", quantile, value)
                 yield _sample("mbtool_latency_seconds_count", labels, latency.count)
                 yield _sample("mbtool_latency_seconds_sum", labels, latency.total / 1e9)
 

@@ -1,9 +1,9 @@
 """Makes a table of polled values for spreadsheets: a row for each round, a column for each."""
 
-# The columns are those of the first response to each request. A request that was not answered in
-# its round leaves its cells empty. Until every request has had a response, rows are held back, at
-# most MAX_HELD of them: then requests that never had one get no columns. While no request has had
-# one yet, there is nothing to write, and the oldest rows are dropped.
+# The first response to each request decides its columns. If a request is not answered in a round,
+# its cells are empty. Rows are held back until every request has had a response, at most MAX_HELD
+# rows; after that, requests without a response get no columns. Until the first response of all, no
+# row can be written, and the oldest rows are dropped.
 
 from __future__ import annotations
 

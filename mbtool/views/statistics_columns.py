@@ -18,7 +18,7 @@ from mbtool.views.tables import printable
 if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
-# Writes the figures of statistics as text: rates, counts and polls.
+# The functions below write the figures of statistics as text: rates, counts and polls.
 
 
 def per_second(rate: float | None) -> str:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from mbtool.ledger.account import OTHER_UNITS
+from mbtool.ledger.distribution import PERCENTILES
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.views.trouble_lines import trouble_documents
@@ -137,9 +138,7 @@ def _latency(latency: Distribution) -> dict[str, Any] | None:
         "count": latency.count,
         "mean_ms": latency.mean / 1e6,
         "min_ms": latency.least / 1e6,
-        "p50_ms": latency.percentile(50) / 1e6,
-        "p95_ms": latency.percentile(95) / 1e6,
-        "p99_ms": latency.percentile(99) / 1e6,
+        **{f"p{one}_ms": latency.percentile(one) / 1e6 for one in PERCENTILES},
         "max_ms": latency.greatest / 1e6,
         "percentile_error": latency.error,
         "histogram": [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.moments import clock_time, day, duration, in_ms, in_s, percent, plural
 from mbtool.ledger.account import OTHER_UNITS
-from mbtool.ledger.distribution import Bucket
+from mbtool.ledger.distribution import PERCENTILES, Bucket
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.modbus import Outcome, short_name
 from mbtool.views.statistics_columns import (
@@ -50,9 +50,9 @@ _FINEST_NS = 100_000
 """The histogram shows all latencies below this limit, in ns, in one line."""
 
 _LATENCY = (
-    StatisticsColumn("p50 ms", 6),
-    StatisticsColumn("p95", 5),
-    StatisticsColumn("p99", 5, 3),
+    StatisticsColumn(f"p{PERCENTILES[0]} ms", 6),
+    *(StatisticsColumn(f"p{one}", 5) for one in PERCENTILES[1:-1]),
+    StatisticsColumn(f"p{PERCENTILES[-1]}", 5, 3),
     StatisticsColumn("max", 5, 2),
 )
 _FAILED = (StatisticsColumn("exc", 5), StatisticsColumn("miss", 5))
@@ -285,7 +285,7 @@ def _latency_cells(tally: RequestTally) -> list[str]:
     latency = tally.latency
     if not latency.count:
         return ["-"] * len(_LATENCY)
-    return [*(in_ms(latency.percentile(one)) for one in (50, 95, 99)), in_ms(latency.greatest)]
+    return [*(in_ms(latency.percentile(one)) for one in PERCENTILES), in_ms(latency.greatest)]
 
 
 def _style(tally: RequestTally) -> str:

@@ -1,4 +1,4 @@
-"""Writes troubles (the room troubles): as lines of text, as JSON, and as rows of the report."""
+"""Writes troubles as lines of text, as JSON, and as rows of the report."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Lays out the tables of live views: which columns fit a width, and the cells of a row."""
 
 # A cell is a list of spans: texts with styles in the notation of the library rich. Columns of width
-# 0 share the width that the others leave: one that is measured takes no more than its widest cell,
-# so that the others have the rest. Where there is little room, columns of the highest rank are left
-# out first; a column that the user chose is kept.
+# 0 share the width that the other columns leave. A measured column takes no more than its widest
+# cell, so that the others get the rest. If there is little room, columns of the highest rank are
+# left out first; a column that the user chose is kept.
 
 from __future__ import annotations
 

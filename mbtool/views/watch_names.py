@@ -1,10 +1,11 @@
 """Shortens the names of points in cells of live tables, so that their values have room."""
 
-# A cell with points reads `digital operation value: CH1 12000, CH2 4000`, or, where they have just
-# changed, `CH1 digital operation value 12000`. CH1 is called the label here, the rest the subject.
-# Labels are kept, as they tell the values of one row apart. Subjects lose their ends, the longest
-# ones first. Where LEAST characters of each are still too many, the subject that all values of a
-# row share is left out: the detail of the row shows the full name.
+# The text of a cell with points is `digital operation value: CH1 12000, CH2 4000`, or, if the
+# values have just changed, `CH1 digital operation value 12000`. Here CH1 is called the label, the
+# rest of the name the subject. Labels are kept, because they distinguish the values of one row.
+# Subjects lose their ends, the longest subjects first. If even LEAST characters of each are too
+# many, the subject that all values of a row share is left out: the detail of the row shows the full
+# name.
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def with_short_names(spans: Spans, one: NamedTransaction, width: int) -> Spans:
     if excess <= 0 or not one.points:
         return spans
     subjects = Counter(subject_of(point) for point in one.points)
-    del subjects[""]  # A name that is the reference stays.
+    del subjects[""]  # An empty subject: the name is the reference.
     if not subjects:
         return spans
     shown = _NamesInCell(spans, one, subjects)

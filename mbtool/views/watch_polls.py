@@ -54,7 +54,7 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
         return []
     one = in_table_words(one)
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
-        # The word `exception` is left out to save room, as the code and its name are enough.
+        # Leave out the word `exception`, because the code and its name are enough.
         result = result_text(one).removeprefix("exception ")
         text = "wrong CRC" if row.is_damaged else result
         return [(text, "bold red"), *_separated(_values(row, one, context))]

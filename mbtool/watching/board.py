@@ -1,8 +1,8 @@
-"""Keeps what live views show beside the account: last transactions, values, events and findings."""
+"""Keeps what live views show besides statistics: last transactions, values, events, findings."""
 
-# Each record costs little (a test counts the calls): if a poll (repeated request) reads the same
-# values as last time, no point (named value) is touched, because the age of a point is the age of
-# its poll. Rows are made only when a view is drawn.
+# Each record costs little time (a test counts the calls): if a poll (repeated request) reads the
+# same values as last time, no point (named value) is changed, because the age of a point is the age
+# of its poll. Rows are made only when a view is drawn.
 #
 # Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_TROUBLES kinds
 # of events and findings, MAX_POLLS polls, and the account (ledger/account.py). A new record
@@ -121,7 +121,7 @@ class RecordRow(NamedTuple):
     is_damaged: bool
     """True if the response to the request came with a wrong CRC or LRC."""
     is_retry: bool
-    """True if the request is a retry, by the rule of the account."""
+    """True if the account counts the request as a retry."""
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -398,7 +398,7 @@ class Board:
         """The board that tells how well slaves answer, and which requests are retries, as a filter
         may let only failures pass."""
         self.part: Board | None = None
-        """The board of the records that pass a filter, which is told of retries."""
+        """The board of the records that pass a filter, which gets the retries from this board."""
         self.account = Account(format_of, self._note_retry, is_part=whole is not None)
         self.retries: OrderedDict[RetryKey, None] = OrderedDict()
         """The last requests that are retries; on a board for a filter none, as they are those of
@@ -497,8 +497,8 @@ class Board:
     def _note_retry(self, poll: PollStatistics, at_ns: int, by: int) -> None:
         """Note that a request of `poll` is a retry (`by` 1), or none after all (-1).
 
-        `at_ns` (UTC ns) is its time. The account of a filter's board lacks the requests between, so
-        it is told of retries.
+        `at_ns` (UTC ns) is its time. A board with a filter lacks the requests between, so it
+        gets the retries from here.
         """
         if self.whole is not self:
             return
@@ -533,9 +533,9 @@ class Board:
         if at_ns > poll.last_ns:
             poll.last_ns = at_ns
         if at_ns < poll.last.at_ns and not _is_cut_off(poll.last.record):
-            return  # A request without response becomes known late; the values shown are newer.
+            return  # It has no response, so it was decoded late; newer values are shown.
         if one.outcome is Outcome.NOT_CAPTURED and _is_cut_off(one) and kept is not poll.last:
-            return  # What the slave did before tells more.
+            return  # Keep the last transaction with a known outcome.
         poll.last, poll.is_damaged = kept, is_damaged
         if one.outcome not in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST):
             return

@@ -1,7 +1,8 @@
 """Finds the registers of a live view that are surely one number, and reads that number."""
 
-# The rows that a poll gives are kept until JUDGED_AT of them differ; then they are judged, twice at
-# most, and forgotten. Only polls of registers that no profile names come here.
+# The rows of values of a poll are kept until JUDGED_AT of them differ. Then their types are judged,
+# at most twice, and the rows are dropped. Only polls of registers that no profile names are given
+# to this module.
 #
 # Memory: the last rows of the MAX_POLLS polls that came first, up to the second judgement.
 

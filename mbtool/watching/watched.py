@@ -1,8 +1,8 @@
 """Keeps the records for live views on two boards: all records, and those that pass a filter."""
 
-# A filter that is set later is applied to all records, if the caller still has them, else to those
-# that are kept here; from then on, records are added to both boards as they come. So figures under
-# a filter may lack the oldest transactions; `unfiltered` says how many.
+# A filter that is set later is applied to all records if the caller still has them, otherwise to
+# the records that are kept here. From then on, each new record is added to both boards. So figures
+# under a filter may lack the oldest transactions; `unfiltered` is their number.
 #
 # Memory: two boards (board.py), and MAX_MARKED marked records.
 
@@ -85,7 +85,7 @@ class Watched:
             self._add_filtered(self.filtered, kept)
 
     def judge(self) -> Judgement:
-        """Judge all records so far; the judgement stands on the board, too."""
+        """Return the troubles of all records so far, and keep them on the board."""
         links = report(self.whole.account, with_cycles=False)
         self.whole.judgement = self._judge.judgement(links)
         return self.whole.judgement

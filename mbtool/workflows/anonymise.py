@@ -1,10 +1,10 @@
-"""Makes a copy of captures without what shows the plant: `convert --anonymous`."""
+"""Copies captures without addresses, names and texts of the plant: `convert --anonymous`."""
 
-# The packets and bytes of the captures are read, everything in them is replaced
-# (core/pseudonyms.py, shared/anonymous_packets.py), and they are written to a log of evidence in a
-# temporary folder. That log is then converted like any other, so the transactions of the copy are
-# decoded from what it holds, and nothing that was decoded from the original gets into it. Of the
-# metadata only line settings, ports, and profiles that are built in stay.
+# The packets and bytes of the captures are read, their addresses, names and texts are replaced
+# (core/pseudonyms.py, shared/anonymous_packets.py), and the result is written to a temporary log.
+# This log is then converted like any other log. So the transactions of the copy are decoded from
+# the replaced bytes, and no decoded text of the original gets into it. The copy keeps only these
+# metadata: line settings, ports and built-in profiles.
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ class Changes:
 
     def _changed(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
         olds, news = (points_of(one, self._profile) for one in (before, now))
-        if len(olds) != len(news):  # The answer to another master's request, or a wrong one.
+        if len(olds) != len(news):  # `now` may answer another master's request.
             return news
         return [
             msgspec.structs.replace(new, value=None, text=f"{new.text} (was {old.text})")

@@ -5,8 +5,8 @@
 # user and of the log, so that the rules in the present profiles apply. Each capture is checked
 # separately; the files of a rotated capture are checked as one.
 #
-# With --start and --end, only the transactions and events in that time are checked. Of what came
-# before, the rules only get to know which connections were opened and closed.
+# With --start and --end, only the transactions and events in that time are checked. From the time
+# before, the rules only learn which connections were opened and closed.
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class CodeFilter:
     ignore: tuple[str, ...] = ()
 
     @property
-    def is_any(self) -> bool:
+    def leaves_out_codes(self) -> bool:
         """True if some codes are left out."""
         return bool(self.select or self.ignore)
 
@@ -426,7 +426,7 @@ class CheckRun:
         if self._judged is None or self._is_open:
             found = self._judge.judgement()
             chosen = [one for one in found.troubles if self._codes.takes(one.code)]
-            self._judged = replace(found, troubles=chosen, is_chosen=self._codes.is_any)
+            self._judged = replace(found, troubles=chosen, is_chosen=self._codes.leaves_out_codes)
         return self._judged
 
     def _chosen(self, findings: Iterable[Finding]) -> Iterator[FileFinding]:

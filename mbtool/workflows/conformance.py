@@ -1,20 +1,20 @@
 """Tests a slave against its profile and the standard: `mbtool test`."""
 
-# What a slave should answer is what the embedded slave of its profile answers (slave/device): the
-# same checks in the same order, with the exceptions that the manual documents. So the cases here
-# are requests only, each with the section of the standard that it is about. Values are not
-# compared, only that they are as many as were asked for.
+# The embedded slave of the profile (slave/device) gives the expected response: it makes the same
+# checks in the same order, with the exceptions that the manual documents. So the cases here are
+# requests only, each with the section of the standard that it tests. Values are not compared; only
+# their number must be right.
 #
-# Beside requests in right ADUs there are cases of bytes: wrong checks, torn and foreign frames on a
-# serial line (Serial Line V1.02), wrong headers, pieces and pipelining on TCP (TCP/IP
-# Implementation Guide V1.0b). After each of them a request must be answered again.
+# Besides correct ADUs, there are cases with wrong bytes: wrong checksums, torn and foreign frames
+# on a serial line (Serial Line V1.02); wrong headers, ADUs in pieces and pipelining on TCP (TCP/IP
+# Implementation Guide V1.0b). After each of them the unit must answer a correct request.
 #
-# A deviation that the standard allows, or that many devices share, is a note and no failure.
+# A deviation that the standard allows, or that many devices share, is a note and not a failure.
 #
-# A unit that answers none of MOST_SILENT requests in a row, and no other sign of life either, ends
-# the test. So does a TCP slave that can no longer be reached.
+# The test ends if the unit answers none of MOST_SILENT requests in a row and then no request for a
+# sign of life, or if a TCP slave can no longer be reached.
 #
-# Nothing is written but to the addresses that the user names, whose values are put back.
+# Only addresses that the user names are written, and their values are restored.
 
 from __future__ import annotations
 
@@ -215,12 +215,13 @@ class Conformance:
         for span in writes:
             yield from self._written(span)
 
-    # Requests in right ADUs: the model answers them, too, and says what is right.
+    # Requests in correct ADUs. The embedded slave answers them, too: its response is expected.
 
     def _requests(self) -> Iterator[CaseResult]:
         for name, section, pdu in self._reads():
             yield self._case(name, section, pdu)
-        # RTU over TCP has no silences, so nothing tells where a function of no known form ends.
+        # RTU over TCP has no silences, so a receiver cannot find the end of a PDU of an unknown
+        # function.
         has_ends = not (isinstance(self._link, TcpLink) and self._link.rtu)
         for pdu in _OTHERS:
             if self._profile.rule(pdu[0]) is None and (has_ends or pdu[0] in FUNCTIONS):
@@ -262,7 +263,7 @@ class Conformance:
         problem = self._problem(pdu, sent, heard, begin_ns)
         is_note = False
         if problem.endswith(_NO_ANSWER) and isinstance(self._link, SerialLink):
-            again = self._wire.send([sent])
+            again = self._repeated(sent)
             if again.raw and not self._problem(pdu, sent, again, time.monotonic_ns()):
                 problem += ", and the right one when it was asked again"
                 self._lost += 1
@@ -278,8 +279,13 @@ class Conformance:
         for _ in range(_PAUSES):
             if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
                 return False
-            heard = self._wire.send([self._wire.adu(self._unit, pdu)])
+            heard = self._repeated(self._wire.adu(self._unit, pdu))
         return True
+
+    def _repeated(self, sent: bytes) -> Heard:
+        """Send a request again. A late answer is awaited: the next request would get it."""
+        heard = self._wire.send([sent])
+        return heard if heard.raw or heard.is_closed else self._wire.hear(self._late_ns)
 
     def _problem(self, pdu: bytes, sent: bytes, heard: Heard, begin_ns: int) -> str:
         """Compare what came with what the model answers; empty if they agree.
@@ -317,13 +323,12 @@ class Conformance:
 
     def _late(self, begin_ns: int) -> str:
         """Wait on for an answer that has not come in time; say how late it is, if it comes."""
-        before_ns = time.monotonic_ns() - begin_ns
-        heard = self._wire.hear(self._late_ns)
+        heard = self._wire.hear(self._late_ns, begin_ns)
         if not heard.raw:
             self._late_ns = 0 if self._unanswered >= MOST_SILENT else self._late_ns
             return ""
         self._unanswered, self._late_ns = 0, _LATE_NS
-        return f"the answer only after {duration(before_ns + heard.after_ns)}"
+        return f"the answer only after {duration(heard.after_ns)}"
 
     def _answered_read(self) -> bytes:
         """Return the PDU of a read that the profile's device answers with values."""
@@ -334,7 +339,7 @@ class Conformance:
                 return pdu
         return _read(3, 0, 1)
 
-    # Bytes that no master sends. The model does not see them; a right request follows each.
+    # Bytes that no master sends. The embedded slave does not get them; a correct request follows.
 
     def _frames(self, link: SerialLink) -> Iterator[CaseResult]:
         good = self._wire.adu(self._unit, self._good)

@@ -1,9 +1,9 @@
-"""Tells other programs what a recording hears: MQTT, metrics, and commands for troubles."""
+"""Reports the traffic of a recording to other programs: MQTT, metrics, commands for troubles."""
 
-# Recording waits neither for MQTT nor for metrics or commands: bytes are written to the log by
-# another thread, values are put where a thread of the publisher takes them, metrics are a text that
-# a thread hands out, and a command runs as a process of its own. Metrics and commands need the list
-# of troubles. It is computed at most once a second, and takes at most 1 / SHARE of the time.
+# The recording never waits for MQTT, metrics or commands. Another thread writes the bytes to the
+# log. A thread of the publisher takes the values and sends them by MQTT. A thread of the server
+# returns the text of the metrics. A command runs as a process of its own. Metrics and commands need
+# the list of troubles: it is computed at most once a second, and in at most 1 / SHARE of the time.
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SHARE = 20
 MAX_RUNNING = 4
 """At most so many commands run at once; a trouble that comes meanwhile waits."""
 MAX_ANNOUNCED = 65_536
-"""After so many topics Home Assistant is told of each one again."""
+"""After so many topics, each topic is announced to Home Assistant again."""
 DISCOVERY = "homeassistant"
 """The topic below which Home Assistant looks for devices."""
 _NO_ID = re.compile(r"[^A-Za-z0-9_-]+")
@@ -201,7 +201,7 @@ class KeptFiles:
 
 
 class TroubleCommands:
-    """Runs a command of the user when a trouble is told for the first time."""
+    """Runs a command of the user when a trouble is reported for the first time."""
 
     def __init__(
         self, commands: Sequence[tuple[str, str]], on_remark: Callable[[str], None]
@@ -215,7 +215,7 @@ class TroubleCommands:
         self._running: list[subprocess.Popen[bytes]] = []
 
     def take(self, troubles: Sequence[Trouble]) -> None:
-        """Run the commands of troubles that were not told before."""
+        """Run the commands for troubles that were not reported before."""
         self._running = [one for one in self._running if one.poll() is None]
         for trouble in (each for one in troubles for each in one.all):
             key = _key_of(trouble)
@@ -237,7 +237,8 @@ class TroubleCommands:
             "MBTOOL_TEXT": trouble_text(trouble),
         }
         try:
-            # The user gave the line for the shell; what was heard is only in its environment.
+            # The user wrote `line` for a shell. Texts from a capture are only in its environment,
+            # so they cannot change the command.
             process = subprocess.Popen(
                 line,
                 shell=True,

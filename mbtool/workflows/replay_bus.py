@@ -136,11 +136,11 @@ class BusRun:
                 wake_ns = player.wake_ns(now_ns)
                 rest_ns = _LOOK_NS if wake_ns is None else min(wake_ns - now_ns, _LOOK_NS)
                 time.sleep(max(rest_ns, 0) / SECOND_NS)
-            _let_pass(player)
+            _wait_until_sent(player)
         return _report(player, options)
 
 
-def _let_pass(player: BusPlayer) -> None:
+def _wait_until_sent(player: BusPlayer) -> None:
     """Wait until the port has sent its last byte, as closing it earlier could discard bytes."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / SECOND_NS)

@@ -244,7 +244,7 @@ def _divided(
     rules.
 
     If several rules fit a slave, the one with the most specific WHO counts. `path` is the recording
-    in messages; `on_remark` is told which slaves no rule fits.
+    in messages; `on_remark` gets a remark on slaves that no rule fits.
     """
     slaves = dict.fromkeys((_place(one), one.unit, one.destination) for one in asked)
     lines = {place for place, _, destination in slaves if destination is None}

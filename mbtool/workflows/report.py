@@ -1,8 +1,8 @@
 """Makes the HTML page of `mbtool report` from captures, which are read once."""
 
-# The page has the figures of `stats`, the rows of `inventory` and the findings of `check`. The same
-# classes compute them, and get each record from a single reading of the files. For the comparison
-# of `diff` both captures are read once more, as it needs all their traffic at once.
+# The page has the figures of `stats`, the rows of `inventory` and the findings of `check`. The
+# classes of these commands compute them from a single reading of the files. For the comparison of
+# `diff`, both captures are read once more, because it needs all traffic of both at once.
 
 from __future__ import annotations
 

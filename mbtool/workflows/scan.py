@@ -1,21 +1,21 @@
 """Finds the units on a link and the registers that each lets read, by requests that only read."""
 
 # Units. Each unit is asked to read holding register 0, for its diagnostics echo (08) and for its
-# identification (2B/0E), until it answers. An exception response is an answer. On TCP a device
-# without a gateway often answers under every unit number: then it is scanned under one.
+# identification (2B/0E), until it answers. An exception response is an answer. On TCP, a device
+# without a gateway often answers under every unit number; then only one number is scanned.
 #
-# Registers. A table is read in blocks. Of a block that is refused, single addresses are read: its
-# first, and multiples of 10 and of 16, where areas begin as a rule; from one that can be read, the
-# area is followed to both ends by bisection. With `every`, a refused block is halved down to single
-# registers, which takes up to two requests for each address. An exception 03 means that the block
-# is too long for the device: the blocks are halved from there on. An exception 01 ends the table;
-# so does 04 at the first FAILURES addresses tried of a block, if nothing of the unit could be read
-# before.
+# Registers. A table is read in blocks. In a refused block, single addresses are read: the first
+# one, and multiples of 10 and of 16, where areas usually begin. From an address that can be read,
+# the area is followed to both ends by bisection. With `every`, a refused block is halved down to
+# single registers, which takes up to two requests for each address. After exception 03 the block is
+# too long for the device, so it and all later blocks are halved. After exception 01 the table is
+# not read further. The same is true if a unit of which nothing could be read so far answers
+# exception 04 at the first FAILURES addresses tried in a block.
 #
-# A read without a right answer is repeated, as lines lose frames: _TRIES times in all, each after a
-# pause in which a late answer would come.
+# A read without a correct answer is repeated, because lines lose frames: it is sent _TRIES times in
+# all. Before each repetition the scan pauses for a late answer.
 #
-# Beside another master a block that is too long for its pauses is halved, too.
+# If another master uses the line, a block that does not fit into its pauses is halved, too.
 #
 # Only functions 01 to 04, 08/00 and 2B/0E are sent. Nothing is written.
 
@@ -151,13 +151,13 @@ class Scan:
                 self.state.units.append(found)
             self.state.next_unit = place + 1
             yield unit
-            if self._is_tcp and place + 1 == _LEAST_SAME and self._is_any(numbers):
+            if self._is_tcp and place + 1 == _LEAST_SAME and self._answers_all_units(numbers):
                 self.state.units[1:] = []
                 self.state.units[0].is_any = True
                 self.state.next_unit = len(numbers)
                 return
 
-    def _is_any(self, numbers: Sequence[int]) -> bool:
+    def _answers_all_units(self, numbers: Sequence[int]) -> bool:
         """True if one device answers for all units: the first ones gave equal answers, and so does
         the last one.
         """
@@ -234,7 +234,7 @@ class Scan:
         """Return a length of a block that is not too long for the unit, if `size` is; 0 if it
         refuses the addresses, and not the length.
         """
-        # A block as long as this has been read elsewhere, so it is the addresses.
+        # A block of this length was read at other addresses, so the unit refuses these addresses.
         is_by_address = size <= self._longest.get((unit, code), 0)
         if is_by_address or (unit, code) in self._refuses_by_value:
             return 0

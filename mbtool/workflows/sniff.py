@@ -285,7 +285,7 @@ class Sniffer:
             self._missing.note_record(record)
             if self._recorder is not None:
                 self._recorder.write(record)
-            if self._refusals.is_news(record):
+            if self._refusals.note_refusal(record):
                 self._on_remark(f"a master was turned away: {record.message}")
         return records
 
@@ -336,7 +336,7 @@ class Refusals:
         self._reasons: dict[str, set[str]] = {}
         self._open: dict[str, set[str]] = {}
 
-    def is_news(self, record: Record) -> TypeGuard[WireEvent]:
+    def note_refusal(self, record: Record) -> TypeGuard[WireEvent]:
         """Look at the next record; return True if it is a refusal that must be reported: its reason
         is new.
         """

@@ -1,7 +1,7 @@
-"""Computes the statistics of live links, and judges them."""
+"""Computes the statistics of live links, and the troubles that they show."""
 
-# Files are read as for `check` (check.py). The option --where chooses transactions. Events are
-# always counted, as the counts of connections come from them.
+# Files are read as for `check` (check.py). The option --where selects transactions. Events are
+# always counted, because the counts of connections come from them.
 
 from __future__ import annotations
 

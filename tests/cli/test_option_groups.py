@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.testing import CliRunner
 
-from mbtool.cli.option_groups import OptionGroup, takes_groups
+from mbtool.cli.option_groups import OptionGroup, with_option_groups
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Colours(OptionGroup):
     back: Annotated[list[str] | None, typer.Option("--back", help="Behind.")] = None
 
 
-@takes_groups
+@with_option_groups
 def paint(
     what: Annotated[str, typer.Argument()],
     *,

@@ -32,7 +32,7 @@ def test_responses_of_different_lengths_prove_the_order() -> None:
     doubt = OrderDoubt(requests)
     settled = []
     for number, one in enumerate(requests, 1):
-        doubt.note_pair(response(SIZES[number % 3]), AduPlace(900, 72), one, 3)
+        doubt.exclude_shifts(response(SIZES[number % 3]), AduPlace(900, 72), one, 3)
         settled.append(doubt.is_settled(3))
     assert settled == [False, False, True, True, True, True]
 
@@ -41,30 +41,32 @@ def test_equal_requests_prove_nothing() -> None:
     requests = [request(number, 2) for number in range(1, 9)]
     doubt = OrderDoubt(requests)
     for one in requests:
-        doubt.note_pair(response(2), AduPlace(900, 96), one, 2)
+        doubt.exclude_shifts(response(2), AduPlace(900, 96), one, 2)
     assert not doubt.is_settled(2)
 
 
 def test_what_was_not_received_cannot_be_answered() -> None:
     first, second = request(1, 2), request(2, 2)
     doubt = OrderDoubt([first, second], others_answered=True)
-    doubt.note_pair(response(2), AduPlace(900, 24), first, 2)
+    doubt.exclude_shifts(response(2), AduPlace(900, 24), first, 2)
     assert not doubt.is_settled(2)  # The slave had received both.
     doubt = OrderDoubt([first, second], others_answered=True)
-    doubt.note_pair(response(2), AduPlace(900, 12), first, 2)
+    doubt.exclude_shifts(response(2), AduPlace(900, 12), first, 2)
     assert doubt.is_settled(2)
 
 
 def test_a_request_that_is_passed_over_begins_the_proof_anew() -> None:
     requests = [request(number, SIZES[number % 3]) for number in range(1, 7)]
     doubt = OrderDoubt(requests, others_answered=True)
-    doubt.note_pair(response(SIZES[1]), AduPlace(900, 72), requests[0], 2)
+    doubt.exclude_shifts(response(SIZES[1]), AduPlace(900, 72), requests[0], 2)
     assert doubt.is_settled(2)
     doubt = OrderDoubt(requests)
     for place in (0, 1, 2):
-        doubt.note_pair(response(SIZES[(place + 1) % 3]), AduPlace(900, 72), requests[place], 3)
+        doubt.exclude_shifts(
+            response(SIZES[(place + 1) % 3]), AduPlace(900, 72), requests[place], 3
+        )
     assert doubt.is_settled(3)
-    doubt.note_pair(response(SIZES[2]), AduPlace(900, 72), requests[4], 4)
+    doubt.exclude_shifts(response(SIZES[2]), AduPlace(900, 72), requests[4], 4)
     assert not doubt.is_settled(4)
 
 
@@ -72,8 +74,8 @@ def test_a_response_to_a_request_before_the_last_answered_one_proves_nothing() -
     requests = [request(number, SIZES[number % 3]) for number in range(1, 7)]
     doubt = OrderDoubt(requests)
     for at in (0, 1, 3):
-        doubt.note_pair(response(SIZES[(at + 1) % 3]), AduPlace(900, 72), requests[at], 3)
-    doubt.note_pair(response(SIZES[0]), AduPlace(900, 72), requests[2], 3)
+        doubt.exclude_shifts(response(SIZES[(at + 1) % 3]), AduPlace(900, 72), requests[at], 3)
+    doubt.exclude_shifts(response(SIZES[0]), AduPlace(900, 72), requests[2], 3)
     assert not doubt.is_settled(3)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from msgspec.structs import replace
 
@@ -14,10 +16,14 @@ from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from tests.decode.test_pairing import ANSWER, MS, READ, WRITE, asked, outcomes, told
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 OK, NO_ANSWER, UNSOLICITED = Outcome.OK, Outcome.NO_ANSWER, Outcome.UNSOLICITED
 LATE = Outcome.LATE
 SURE: tuple[list[Verdict], float] = ([], 1.0)
 IN_DOUBT = [Verdict.AMBIGUOUS], EVEN
+READ_OTHER, OTHER_ANSWER = "03 0007 0001", "03 02 0777"
 READ_FOUR = "03 0000 0004"
 FOUR_VALUES = "03 08 0001 0002 0003 0004"
 
@@ -40,12 +46,12 @@ def overtake(pairing: Pairing, at_ms: int) -> Said:
     return [each for one in adus for each in pairing.feed(one)]
 
 
+def transactions(said: Said) -> list[Transaction]:
+    return [one for one in said if isinstance(one, Transaction)]
+
+
 def rows(said: Said) -> list[tuple[int, Outcome, tuple[list[Verdict], float]]]:
-    return [
-        (one.unit, one.outcome, (one.verdicts, one.confidence))
-        for one in said
-        if isinstance(one, Transaction)
-    ]
+    return [(one.unit, one.outcome, (one.verdicts, one.confidence)) for one in transactions(said)]
 
 
 @pytest.mark.parametrize(
@@ -142,8 +148,7 @@ def latencies(said: Said) -> list[tuple[Outcome, int | None]]:
     """The outcome and the latency in ms of each transaction."""
     return [
         (one.outcome, None if one.latency_ns is None else one.latency_ns // MS)
-        for one in said
-        if isinstance(one, Transaction)
+        for one in transactions(said)
     ]
 
 
@@ -180,6 +185,59 @@ def test_the_answers_of_a_unit_that_is_always_late_are_moved_together() -> None:
     assert done == []
     done += said(pairing, told(ANSWER, 2251))
     assert latencies(done) == [(LATE, 750)] * 4
+
+
+def untimed() -> Pairing:
+    """A line whose times are not known: each frame begins where the one before ends."""
+    return Pairing(Ends("rs485", timed=False), lambda _: None)
+
+
+def hidden() -> Pairing:
+    """A line of an adapter that hides all silences."""
+    return line(None)
+
+
+@pytest.mark.parametrize("kind", [untimed, hidden])
+def test_without_silences_a_second_answer_shows_that_both_are_late(
+    kind: Callable[[], Pairing],
+) -> None:
+    pairing = kind()
+    done = said(pairing, asked(READ, 0), asked(READ_OTHER, 8), told(ANSWER, 16))
+    assert done == []
+    done += said(pairing, told(OTHER_ANSWER, 23))
+    assert [(one.address, one.response_values, one.outcome) for one in transactions(done)] == [
+        (0x6B, [0x022B], LATE), (7, [0x0777], LATE),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [untimed, hidden])
+@pytest.mark.parametrize("unit", [1, 2])
+def test_without_silences_the_next_request_shows_that_the_response_was_its_own(
+    unit: int, kind: Callable[[], Pairing]
+) -> None:
+    pairing = kind()
+    done = said(pairing, asked(READ, 0), asked(READ_OTHER, 8), told(ANSWER, 16))
+    done += said(pairing, asked(READ, 23, unit=unit))
+    assert [one[1] for one in rows(done)] == [NO_ANSWER, OK]
+
+
+@pytest.mark.parametrize("kind", [untimed, hidden])
+def test_without_silences_an_equal_response_may_be_a_copy_or_a_second_answer(
+    kind: Callable[[], Pairing],
+) -> None:
+    frames = asked(READ, 0), asked(READ_OTHER, 8), told(ANSWER, 16), told(ANSWER, 23)
+    done = said(kind(), *frames)
+    assert [one[1] for one in rows(done)] == [NO_ANSWER, OK, UNSOLICITED]
+    assert [one[2] for one in rows(done)[1:]] == [IN_DOUBT, IN_DOUBT]
+
+
+@pytest.mark.parametrize("kind", [untimed, hidden, lambda: line(False)])
+def test_a_response_behind_damaged_bytes_is_no_second_answer(kind: Callable[[], Pairing]) -> None:
+    pairing = kind()
+    done = said(pairing, asked(READ, 0), asked(READ_OTHER, 500), told(ANSWER, 781))
+    done += pairing.note_skipped(Skipped(790 * MS, EventKind.BAD_CHECK, "a wrong CRC", bytes(8)))
+    done += said(pairing, told(OTHER_ANSWER, 1281))
+    assert [one[1] for one in rows(done)] == [NO_ANSWER, OK, UNSOLICITED]
 
 
 def test_without_a_second_answer_each_response_stays_with_its_own_request() -> None:

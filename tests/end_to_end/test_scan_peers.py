@@ -96,11 +96,11 @@ def test_finds_the_units_of_a_line_and_writes_nothing(tmp_path: Path) -> None:
         line = stack.enter_context(api.line(ends=3))
         stack.enter_context(RawSlave(line.ports[1], {2: 0.002, 7: 0.002}))
         stack.enter_context(heard(line.link(2), log))
-        rows = scanned(line.link(0), "--units", "1..8", "--units-only", "--timeout", "0.2")
+        rows = scanned(line.link(0), "--units", "2,5,7", "--units-only")
     assert [row["unit"] for row in rows] == [2, 7]
     asked = list(api.open(log))
     assert {one.function for one in asked} <= {1, 2, 3, 4, 8, 0x2B}
-    assert len(asked) >= 8
+    assert len(asked) >= 7
 
 
 def test_a_capture_of_a_whole_scan_has_no_write(tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ def test_seams_are_where_appends_began_or_ended_also_behind_taken_bytes() -> Non
     buffer = filled((b"ab", 10), (b"c", 20), (b"", 25), (b"def", 30))
 
     def seams() -> list[int]:
-        return [index for index in range(8) if buffer.is_seam(index)]
+        return [index for index in range(8) if buffer.is_append_boundary(index)]
 
     found = [seams()]
     for size in (1, 1, 1, 2, 1):

@@ -127,7 +127,7 @@ def _plain(name: str, corpus: Path, seconds: float) -> None:
     end_s = time.monotonic() + seconds
     runs = 0
     while time.monotonic() < end_s:
-        data = _mutated(chance, known)[: MAX_BYTES.get(name, 8000)]
+        data = mutated(chance, known)[: MAX_BYTES.get(name, 8000)]
         runs += 1
         try:
             TARGETS[name](data)
@@ -137,7 +137,7 @@ def _plain(name: str, corpus: Path, seconds: float) -> None:
     sys.stderr.write(f"stat::number_of_executed_units: {runs}\n")
 
 
-def _mutated(chance: random.Random, known: list[bytes]) -> bytes:
+def mutated(chance: random.Random, known: list[bytes]) -> bytes:
     data = bytearray(chance.choice(known))
     for _ in range(chance.choice((1, 1, 2, 4, 16))):
         at = chance.randrange(len(data) + 1)

@@ -235,8 +235,8 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     taped = {poll for tape in account.tapes.values() for poll in tape._polls}
     given_up = taped - set(account.polls.values())
     assert given_up
-    assert {id(poll.tally) for poll in given_up} == {id(poll_statistics._GIVEN_UP)}
-    assert not poll_statistics._GIVEN_UP.transactions
+    assert {id(poll.tally) for poll in given_up} == {id(poll_statistics.GIVEN_UP)}
+    assert not poll_statistics.GIVEN_UP.transactions
     total = sum(link.tally.transactions for link in report(account))
     assert total == account.transactions == 2000
 

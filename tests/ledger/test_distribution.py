@@ -132,4 +132,4 @@ def test_bars_have_all_durations_if_none_is_far_away() -> None:
 
 def test_the_durations_from_one_on_are_counted() -> None:
     durations = of([10, 20, 30, 30])
-    assert [durations.number_from(ns) for ns in (5, 20, 21, 31)] == [4, 3, 2, 0]
+    assert [durations.count_at_least(ns) for ns in (5, 20, 21, 31)] == [4, 3, 2, 0]

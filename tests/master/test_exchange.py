@@ -101,6 +101,20 @@ def test_a_response_that_came_while_this_process_did_not_run_is_read(
         assert master.exchange(1, READ).response is answer
 
 
+@pytest.mark.parametrize(
+    ("strict_ns", "waits"),
+    [(None, 50), (1_000_000_000, 1)],
+    ids=["a timeout", "a pause of another master"],
+)
+def test_time_in_which_this_process_did_not_run_counts_in_a_pause_of_another_master_only(
+    monkeypatch: pytest.MonkeyPatch, strict_ns: int | None, waits: int
+) -> None:
+    ten_seconds = count(0, 10_000_000_000)
+    monkeypatch.setattr(links, "time", SimpleNamespace(monotonic_ns=ten_seconds.__next__))
+    patience = links.Patience(1_000_000_000, *([] if strict_ns is None else [strict_ns]))
+    assert next(number for number in count(1) if patience.next_ns() <= 0) == waits
+
+
 class _Port:
     """A serial port that a process reads which does not run for seconds; see `_jumping`."""
 

@@ -60,11 +60,11 @@ def test_a_connection_is_found_by_its_ends_unless_it_was_read_elsewhere() -> Non
 
 def test_numbers_that_are_taken_are_not_given_again() -> None:
     reassembler = _across()
-    assert reassembler.number_next(3) == 0
+    assert reassembler.reserve_numbers(3) == 0
     items = run_packets(_talk(10000).handshake(), reassembler, close=False)
     assert [one.connection.number for one in items if isinstance(one, StreamOpened)] == [3]
-    assert reassembler.number_next(2) == 4
-    assert reassembler.number_next(1) == 6
+    assert reassembler.reserve_numbers(2) == 4
+    assert reassembler.reserve_numbers(1) == 6
 
 
 def test_copies_of_a_connection_that_was_read_elsewhere_open_nothing() -> None:

@@ -241,14 +241,19 @@ def test_a_fin_counts_within_the_window_only() -> None:
 
 def test_a_receipt_counts_within_the_window_and_up_to_the_fin() -> None:
     stream = Stream(Direction.REQUEST, CONNECTION)
-    assert stream.receipt(500, 100) is None
+    assert stream.acknowledged_position(500, 100) is None
     stream.begin(0)
     stream.advance(b"", 500)
-    assert [stream.receipt(one, 100) for one in (399, 400, 500, 600, 601)] == [
+    assert [stream.acknowledged_position(one, 100) for one in (399, 400, 500, 600, 601)] == [
         None, 400, 500, 600, None,
     ]  # fmt: skip
     stream.finish = 510
-    assert [stream.receipt(one, 100) for one in (509, 510, 511, 900)] == [509, 510, 510, 510]
+    assert [stream.acknowledged_position(one, 100) for one in (509, 510, 511, 900)] == [
+        509,
+        510,
+        510,
+        510,
+    ]
 
 
 def test_the_first_acknowledgement_of_a_byte_tells_when_it_was_received() -> None:

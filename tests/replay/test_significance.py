@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.replay.comparing import MIN_VALUES, rank_sum, same_share
+from mbtool.replay.comparing import MIN_VALUES, rank_sum, share_p_value
 
 LATENCIES = st.lists(st.integers(0, 10**6), min_size=MIN_VALUES, max_size=60)
 
@@ -71,14 +71,14 @@ def test_shares_are_compared_exactly(data: st.DataObject) -> None:
         for each in range(max(0, hits - other_n), min(hits, n) + 1)
     }
     exact = float(sum(one for one in chances.values() if one <= chances[k]))
-    assert same_share(k, n, other_k, other_n) == pytest.approx(exact, rel=1e-6)
+    assert share_p_value(k, n, other_k, other_n) == pytest.approx(exact, rel=1e-6)
 
 
 @given(st.data())
 def test_a_probability_is_between_0_and_1(data: st.DataObject) -> None:
     n, other_n = data.draw(st.integers(1, 300)), data.draw(st.integers(1, 300))
     k, other_k = data.draw(st.integers(0, n)), data.draw(st.integers(0, other_n))
-    assert 0 < same_share(k, n, other_k, other_n) <= 1
+    assert 0 < share_p_value(k, n, other_k, other_n) <= 1
 
 
 def _exact_rank_sum(values: list[int], b: tuple[int, ...]) -> float:

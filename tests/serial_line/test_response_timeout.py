@@ -30,7 +30,7 @@ def test_unknown_timeout_says_nothing() -> None:
     assert not timeout.is_known
     for wait_ns in (0, MS, 1000 * MS):
         assert not timeout.is_not_over(wait_ns)
-        assert timeout.share_over(wait_ns) == 0.0
+        assert timeout.over_probability(wait_ns) == 0.0
         assert not timeout.is_over_at(wait_ns)
 
 
@@ -38,7 +38,7 @@ def test_timeout_becomes_more_exact_with_each_retry() -> None:
     once, often = learned(200), learned(*[200] * SAMPLES)
     assert once.is_over_at(200 * MS)
     assert often.is_over_at(200 * MS)
-    assert 0.0 < once.share_over(180 * MS) < 1.0
+    assert 0.0 < once.over_probability(180 * MS) < 1.0
     assert often.is_not_over(180 * MS)
 
 
@@ -47,7 +47,7 @@ def test_each_wait_is_running_doubtful_over_or_longer() -> None:
     said = [
         (
             timeout.is_not_over(ms * MS),
-            0.0 < timeout.share_over(ms * MS) < 1.0,
+            0.0 < timeout.over_probability(ms * MS) < 1.0,
             timeout.is_over_at(ms * MS),
         )
         for ms in range(300)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from random import Random
+from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.decode.connections import Bus
+from mbtool.devices import Namer
+from mbtool.devices.checking.checker import Checker
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
 from mbtool.modbus.adu import crc
 from tests.feeding import START_NS
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
 
 LINE = SerialFormat(9600)
 MS = 1_000_000
@@ -64,6 +70,17 @@ def transactions(found: list[Adu | Transaction | WireEvent]) -> list[Transaction
 def odd(found: list[Adu | Transaction | WireEvent]) -> list[tuple[int, Outcome]]:
     """Unit and outcome of all transactions that are not ok."""
     return [(one.unit, one.outcome) for one in transactions(found) if one.outcome is not Outcome.OK]
+
+
+def errors(found: list[Adu | Transaction | WireEvent]) -> set[tuple[str, int | None]]:
+    """Code and unit of each finding of `check` about a response or its absence."""
+    checker, namer = Checker(), Namer()
+    findings: list[Finding] = []
+    for one in found:
+        if not isinstance(one, Adu):
+            findings += checker.feed(namer.name(one) if isinstance(one, Transaction) else one)
+    findings += checker.close()
+    return {(one.code, one.unit) for one in findings if one.code[:4] in {"MB-2", "MB-4"}}
 
 
 @CLOCKED
@@ -122,7 +139,9 @@ def test_a_wrong_echo_of_a_unit_that_answers_is_a_wrong_answer(
     wire = Wire().poll()
     for _ in range(4):
         wire.exchange(1, bytes.fromhex(request_), bytes.fromhex(response)).poll(2)
-    assert odd(wire.heard(timed=timed)) == [(1, Outcome.MALFORMED)] * 4
+    found = wire.heard(timed=timed)
+    assert odd(found) == [(1, Outcome.MALFORMED)] * 4
+    assert errors(found) == {("MB-201", 1)}
 
 
 @CLOCKED
@@ -130,8 +149,9 @@ def test_a_write_that_is_answered_with_the_whole_request_is_answered_wrongly(tim
     wire, request = Wire().poll(), bytes.fromhex("10 0001 0002 04 00010002")
     for _ in range(12):
         wire.exchange(1, request, request).poll(1)
-    found = transactions(wire.heard(timed=timed))
-    assert odd([*found])[-6:] == [(1, Outcome.MALFORMED)] * 6
+    found = wire.heard(timed=timed)
+    assert odd(found)[-6:] == [(1, Outcome.MALFORMED)] * 6
+    assert errors(found) == {("MB-203", 1)}
 
 
 def test_a_line_on_which_every_frame_comes_twice_has_no_such_answers() -> None:
@@ -150,9 +170,9 @@ def test_the_answer_to_a_damaged_request_blames_no_slave(timed: bool) -> None:
     damaged[3] ^= 4
     wire = Wire().poll().say(rtu_adu(1, READ), 50).say(bytes(damaged), 500)
     wire.say(rtu_adu(1, bytes.fromhex("03 06 0001 0002 0003")), 10).poll(3)
-    assert sorted(odd(wire.heard(timed=timed))) == [
-        (1, Outcome.NO_ANSWER), (1, Outcome.NOT_CAPTURED),
-    ]  # fmt: skip
+    found = wire.heard(timed=timed)
+    assert sorted(odd(found)) == [(1, Outcome.NO_ANSWER), (1, Outcome.NOT_CAPTURED)]
+    assert errors(found) == {("MB-402", 1)}
 
 
 def test_a_late_answer_goes_to_the_request_whose_size_it_has() -> None:
@@ -245,6 +265,7 @@ def test_a_unit_that_is_off_for_minutes_leaves_its_set_points_unanswered(timed: 
     found = wire.heard(timed=timed)
     assert {one for one in odd(found) if one[0] == 1} == {(1, Outcome.NO_ANSWER)}
     assert 18 <= len([one for one in odd(found) if one[0] == 1]) <= 20
+    assert errors(found) == {("MB-401", 1)}
 
 
 @pytest.mark.parametrize("gap_ms", [2000, 20000])

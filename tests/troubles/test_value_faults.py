@@ -317,6 +317,13 @@ def test_the_portions_in_which_answers_come_do_not_matter() -> None:
         assert sentences(cuts, lambda sense: list(sense.troubles(()))) == whole
 
 
+def test_very_many_equal_answers_at_once_are_passed_over() -> None:
+    rows = [(5003,)] * 250_000
+    sense = ValueFaults(Assignments())
+    sense.reads([AnsweredReads("a", 1, 3, 10, 1, [*range(len(rows))], Words(rows))])
+    assert [*sense.troubles(())] == []
+
+
 def test_figures_of_movements_do_not_depend_on_portions() -> None:
     columns = (noise(1), slow(2), [number & 0xFFFF for number in counter(65000)])
     rows = [*zip(*columns, strict=True)]

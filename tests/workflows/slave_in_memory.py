@@ -63,7 +63,7 @@ class SlaveInMemory(Wire):
         response = self._device.respond(self._unit, frame[1:-2], 0)
         return b"" if response is None else rtu_adu(self._unit, response.pdu)
 
-    def hear(self, wait_ns: int) -> Heard:
+    def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
         return Heard(b"", (), 0)
 
     def damage(self, raw: bytes, request: bytes) -> str:

@@ -37,7 +37,7 @@ def answered(source: str, outcome: Outcome = Outcome.OK) -> NamedTransaction:
 def news(*records: NamedTransaction | WireEvent) -> list[bool]:
     """Of each refusal, whether it is news."""
     refusals = Refusals()
-    told = [(record, refusals.is_news(record)) for record in records]
+    told = [(record, refusals.note_refusal(record)) for record in records]
     assert not any(
         is_news
         for record, is_news in told
@@ -81,9 +81,9 @@ def test_a_connection_that_was_open_before_is_no_end_of_it() -> None:
 
 def test_what_is_held_is_bounded() -> None:
     refusals = Refusals()
-    told = [refusals.is_news(refused(str(number))) for number in range(2 * MAX_REASONS)]
+    told = [refusals.note_refusal(refused(str(number))) for number in range(2 * MAX_REASONS)]
     assert told.count(True) == MAX_REASONS
     for number in range(1000):
-        refusals.is_news(opened(f"10.0.0.1:{number}"))
-        refusals.is_news(closed(f"10.0.0.1:{number}"))
+        refusals.note_refusal(opened(f"10.0.0.1:{number}"))
+        refusals.note_refusal(closed(f"10.0.0.1:{number}"))
     assert refusals._open == {LINK: set()}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbtool.query.where import Where
     from mbtool.views.watch_columns import WatchColumn
 
-# Finds rows of a live table by text, or by bytes in hexadecimal.
+# The code below finds rows of a live table by text, or by bytes in hexadecimal.
 
 _HEX = re.compile(r"(?:0x)?((?:[0-9a-f]{2}[ :]?)+)", re.IGNORECASE)
 

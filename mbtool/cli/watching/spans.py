@@ -54,7 +54,7 @@ def style_of(text: str, *, plain: bool) -> Style:
     return style.without_color if plain else style
 
 
-# A widget for one line of text, which is drawn again only if its text has changed.
+# OneLine is a widget for one line of text, which is drawn again only if its text has changed.
 #
 # textual's Static computes the layout of the whole screen for each new text, which takes longer
 # than drawing the table.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from typing import TextIO
 
-# Asks terminfo if the terminal can move its cursor and show colours.
+# The code below asks terminfo if the terminal can move its cursor and show colours.
 
 
 class TerminalAbilities(NamedTuple):

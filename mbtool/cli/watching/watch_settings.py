@@ -1,7 +1,7 @@
 """The settings that `watch` remembers from run to run: columns, sorting, filters."""
 
-# The settings are one JSON file in the user's config folder. A file that cannot be used is told to
-# the user, and kept under another name when the next change writes a new one.
+# The settings are one JSON file in the user's config folder. If the file cannot be used, the user
+# is told, and the file is kept under another name when the next change writes a new one.
 
 from __future__ import annotations
 

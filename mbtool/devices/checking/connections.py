@@ -8,11 +8,11 @@
 # TCP-202  bytes are no ADU
 # TCP-203  a retransmission differs from the first copy
 #
-# A capture may begin and end inside an ADU, and may miss bytes in between. So unreadable bytes are
+# A capture may begin and end inside an ADU, and may lack bytes in between. So unreadable bytes give
 # no finding in three cases: before the first ADU of a connection that was open before the capture,
 # right before or after missing bytes, and within EDGE_NS of the end of the capture.
 #
-# Memory: ids and times of the last MAX_RECENT transactions of each connection (lru_dict.py), and
+# Memory: ids and times of the last MAX_RECENT transactions of each connection (LruDict), and
 # at most MAX_PENDING events with unreadable bytes, which wait because missing bytes or the end of
 # the capture may follow.
 

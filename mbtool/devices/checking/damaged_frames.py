@@ -1,12 +1,14 @@
 """Finds frames with a wrong CRC or LRC, and which unit sent them (RTU-201)."""
 
 # The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
-# request that was pending when it came, which is known when its transaction ends without a response
-# (modbus/response.py). Until then the frame waits. On a serial line, the next transaction
-# that begins after it shows that it answers none. On TCP it goes on waiting, because a request
-# without a response may end long after later ones (TIMEOUT_NS in decode/network_pairing.py).
+# request that was pending when it came. This request is known when its transaction ends without a
+# response (modbus/response.py); until then the frame waits. On a serial line, the frame stops
+# waiting when a transaction begins after it: then it answers no request. On TCP it goes on waiting,
+# because a request without a response may end long after later requests (TIMEOUT_NS in
+# decode/network_pairing.py).
 #
-# Memory: at most MAX_FRAMES waiting frames for each of MAX_ENTRIES links (lru_dict.py).
+# Memory: at most MAX_FRAMES waiting frames for each of MAX_ENTRIES links (LruDict in
+# sliding_window.py).
 
 from __future__ import annotations
 

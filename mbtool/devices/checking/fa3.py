@@ -15,19 +15,19 @@
 #     10.3  RWr1 has an alarm                                                    FA3-X11
 #     10.4  42H, read model name: another model than the user named              FA3-X12
 #
-# What the module does about a third connection is told when it is seen: it closes the one that was
-# silent longest (FA3-X2), or it refuses the new one, closes another one, or goes on with all three
-# (FA3-X9).
+# The finding about a third connection is reported when the reaction of the module is seen. FA3-X2:
+# the module closes the connection that was silent longest. FA3-X9: it refuses the new one, closes
+# another one, or keeps all three.
 #
-# The times and the count of 00F2H to 00F5H are taken from the traffic where a master reads or
-# writes them; until then they are the manual's defaults.
+# If a master reads or writes the times and the count in 00F2H to 00F5H, these values are used;
+# until then the defaults of the manual.
 #
 # The names of the two flags are those in the profiles. On the digital modules, Y9 is an output, and
 # there is no such handshake.
 #
-# Memory: for each module, its connections and the last MAX_RECENT requests and connection attempts
-# (see lru_dict.py). The requests are kept because the transaction of a reset, which has no
-# response, can be decoded after later transactions.
+# Memory: for each module, its connections and the last MAX_RECENT requests and connection attempts;
+# at most MAX_ENTRIES modules (LruDict in sliding_window.py). The requests are kept because the
+# transaction of a reset, which has no response, can be decoded after later transactions.
 
 from __future__ import annotations
 
@@ -102,8 +102,7 @@ class _Module:
     """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
     most MAX_CONNECTIONS + 1."""
     third: _Third | None = None
-    """The third connection of which it is not known yet what the module does; None if there is
-    none."""
+    """The third connection, if the module's reaction to it is not known yet; otherwise None."""
     rejects_until_ns: int = 0
     """The time (ns) until which the module may refuse connections, after an alive check failed."""
     incomplete: dict[str, int] = field(default_factory=dict)
@@ -118,7 +117,7 @@ class _Module:
     alarm: int = 0
     """The value of RWr1 as it was read last."""
     model: int | None = None
-    """The model code that was told of last."""
+    """The model code that was reported last."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
     """The time (ns) of each recent request and connection attempt, and a finding that it came too
     soon after a reset. The finding is reported if a reset less than RESET_NS earlier is decoded
@@ -217,7 +216,7 @@ class Fa3Rules:
         if len(module.connections) > MAX_CONNECTIONS:
             silent = min(module.connections, key=lambda source: module.connections[source])
             others = [source for source in module.connections if source != event.source]
-            if module.third is not None:  # Nobody saw what the module did about the third one.
+            if module.third is not None:  # No reaction to the third one was seen.
                 yield _too_many(module.third, "the module takes two")
             module.third = _Third(event, tuple(others), silent)
             while len(module.connections) > MAX_CONNECTIONS + 1:
@@ -374,7 +373,7 @@ def _unconverted(module: _Module, transaction: NamedTransaction) -> Iterator[Fin
         text = f"{request_text(transaction)}, but {flags} of {channels} was last read as off"
         yield transaction_finding("FA3-X10", transaction, text)
         for channel in off:
-            del module.flags[channel]  # Told once, until the flag is read again.
+            del module.flags[channel]  # Reported once, until the flag is read again.
 
 
 def _alarm(module: _Module, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
@@ -427,7 +426,7 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
         first = transaction.address or 0
         span = range(first, first + (transaction.quantity or 1))
         if module.is_requested and not module.is_polled and _is_of_values(known, span):
-            module.is_polled = True  # Told once.
+            module.is_polled = True  # Reported once.
             text = f"{request_text(transaction)}, while Y9 is on and X9 was not read"
             yield transaction_finding("FA3-X5", transaction, text)
         return

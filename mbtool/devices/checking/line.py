@@ -9,7 +9,7 @@
 # A capture may begin and end inside a frame, so unreadable bytes before the first frame of a line
 # and after the last one are no finding.
 #
-# Memory: some numbers for each line and each of its units (see lru_dict.py).
+# Memory: some numbers for each line and each of its units (LruDict in sliding_window.py).
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class LineRules:
             silences = line.silences
             if line.format is not None and self._has_exact_times(link):
                 yield from silences.exact_findings(line.format)
-            elif silences.are_in_blocks and silences.masters_tear:
+            elif silences.are_in_blocks and silences.master_splits_requests:
                 yield silences.torn_finding()
             elif silences.are_in_blocks:
                 yield silences.block_finding()

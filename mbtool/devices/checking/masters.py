@@ -5,8 +5,8 @@
 #          cases: it began when the first had already sent requests for at least the time of the
 #          rule's limit (security_limits.py); or both write, less than that time apart. If both
 #          began at about the same time and only one writes, the capture does not show who is the
-#          usual master, and there is no finding. Nor does it where the capture begins within the
-#          connection of the second host: that host may have been there first.
+#          usual master, and there is no finding. There is none either if the capture begins within
+#          the connection of the second host, because that host may have been there first.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
 #          modules), and sent nothing in the first minutes of the capture: the time of the rule's
 #          limit. The usual masters of a plant do send something then; one that restarts later is

@@ -146,17 +146,18 @@ class PollRules:
     def run(self, run: QuietRun) -> None:
         """Add many transactions together, with the same result as `transaction` for each.
 
-        `run` has the times of the requests, grouped by poll. If a poll may have to be dropped, the
-        requests are added one by one, in their order.
+        `run` has the times of the requests, grouped by poll. If a poll may have to be dropped, only
+        the polls that are left at the end get their requests.
         """
         keys = [*map(_key, run.polls)]
         if not self._polls.has_room(keys):
-            for request in run.requests:
-                poll = self._polls[keys[request.poll]]
+            requests = run.requests
+            for poll, places in self._polls.use([keys[one.poll] for one in requests]):
+                times = [requests[place].at_ns for place in places]
                 if poll.first is None:
-                    poll.first, poll.last_ns = run.head(request.row), request.at_ns
-                else:
-                    poll.note(request.at_ns)
+                    poll.first, poll.last_ns = run.head(requests[places[0]].row), times[0]
+                    times = times[1:]
+                poll.note_all(times)
             return
         for key, one in zip(keys, run.polls, strict=True):
             poll, times = self._polls[key], one.request_ns

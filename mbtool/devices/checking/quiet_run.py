@@ -2,10 +2,11 @@
 rules of `mbtool check`. The responses may be exceptions.
 """
 
-# Most transactions of a capture are such ones; columns/ decodes them into arrays, without an
-# object for each. A rule must still remember something of them, such as the last request of a
-# connection or the periods of a poll. The rules take that from these figures, without checking each
-# transaction. A "run" here is a series of such reads with no other record between them.
+# Most transactions of a capture are such reads and writes; columns/ decodes them into arrays,
+# without an object for each. But a rule must remember something about them, such as the last
+# request of a connection or the periods of a poll. The rules take this from the figures here,
+# without checking each transaction. A "run" is a series of such transactions with no other record
+# between them.
 
 from __future__ import annotations
 

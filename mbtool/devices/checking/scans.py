@@ -10,12 +10,13 @@
 # unpolled.py leaves out everything that a master polls. As a poll may be recognised late, the
 # findings come at the end of the capture.
 #
-# A capture can be too short to have a master's second turn. So of addresses and units that answer
-# what is asked, the rules SEC-201 and SEC-202 count only those that were requested first_time_ns
-# (the first minutes of SEC-205) before the capture's end. If the capture has the opening of the
-# first connection to an address, it counts in three further cases: its host was first heard when
-# another one had been polling; the host did not ask it again for the time of SEC-201's limit; or it
-# asked for the identification only, and did not ask again for IDENTIFIED_NS.
+# A capture can be too short to show that a master polls. So an address or unit that answers as
+# asked counts for SEC-201 and SEC-202 only if its first request came at least first_time_ns (the
+# first minutes of SEC-205) before the end of the capture. If the capture has the opening of the
+# first connection to an address, the address also counts in three other cases: the master was first
+# heard when another host had already been polling; the master did not ask the address again for the
+# time of SEC-201's limit; or the master only read the identification, and did not ask again for
+# IDENTIFIED_NS.
 #
 # Memory: the time at which each of the first MAX_HOSTS hosts was first heard. Later ones count as
 # heard from the beginning.

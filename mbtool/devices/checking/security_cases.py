@@ -40,7 +40,7 @@ class _SourceCases:
     examples: list[str] = field(default_factory=list)
     has_more_examples: bool = False
     packets: dict[Packets, None] = field(default_factory=dict)
-    """The packets of the cases, in the order in which they were told."""
+    """The packets of the cases, in the order in which they were added."""
 
     def add(self, count: int, examples: Iterable[str], packets: Iterable[Packets]) -> None:
         self.count += count

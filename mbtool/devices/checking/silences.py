@@ -153,7 +153,7 @@ class LineSilences:
         return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
 
     @property
-    def masters_tear(self) -> bool:
+    def master_splits_requests(self) -> bool:
         """True if the master tears its requests, while responses are whole and frames apart."""
         is_glued = any(sign is Verdict.GLUED for sign, _ in self.wrong)
         split = sum(one.number for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
@@ -163,7 +163,7 @@ class LineSilences:
 
     def torn_finding(self) -> Finding:
         """Make the finding RTU-102 about a master that tears its requests. Call it only if
-        `masters_tear` and `are_in_blocks`.
+        `master_splits_requests` and `are_in_blocks`.
         """
         first = next(one for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
         cases = _Silences(first.first, self.only_request_split)

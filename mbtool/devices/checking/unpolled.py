@@ -10,10 +10,10 @@
 # a connection counts as a request, but only until a real request comes: a scan may open a
 # connection for each request.
 #
-# What a capture lacks is no evidence: a master whose second turn the capture does not have looks
-# like a scan. A thing is ordinary if its slave answered as asked, and the caller says that the
-# capture is too short to know if the master polls it. If more than half of the things in a scope
-# are ordinary, and they are at most `most_ordinary`, none of them is counted.
+# A master that polls looks like a scan if the capture ends before its second turn. So a thing is
+# ordinary if its slave answered as asked, and the caller states that the capture is too short to
+# know if the master polls the thing. If more than half of the things in a scope are ordinary, and
+# they are at most `most_ordinary`, none of them is counted.
 #
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most

@@ -5,7 +5,7 @@
 # again. A single exception 04 between other responses is a failed request; two in a row mean that
 # the watchdog has expired.
 #
-# Memory: for each coupler, the first exception 04 in a row (see lru_dict.py).
+# Memory: for each coupler, the first exception 04 in a row (LruDict in sliding_window.py).
 
 from __future__ import annotations
 

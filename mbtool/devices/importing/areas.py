@@ -1,8 +1,8 @@
 """Makes a profile's areas (ranges of addresses) from the points of a register list."""
 
-# An area covers consecutive addresses of the list. If the list leaves out fewer than MAX_HOLE
-# addresses between two points, the area includes them, because masters read such holes together
-# with the points, and most devices allow it.
+# An area covers consecutive addresses of the list. A hole of fewer than MAX_HOLE addresses between
+# two points belongs to the area, because masters read such holes together with the points, and most
+# devices allow it.
 
 from __future__ import annotations
 

@@ -15,7 +15,8 @@ from mbtool.modbus.tables import Table
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-# Collects the messages of an import for the user: guesses, and rows that cannot be read.
+# The class below collects the messages of an import for the user: guesses, and rows that cannot be
+# read.
 
 MAX_PROBLEMS = 100
 """At most so many problems get a line of their own. One more line names the rows of all others."""

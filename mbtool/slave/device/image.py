@@ -4,8 +4,9 @@
 # device has, and the responder checks that.
 #
 # A register is stored as on the wire, high byte first, and a bit as a byte of 0 or 1, so that the
-# data of a response is one slice. Memory: 384 KiB, and the profile's blocks (blocks.py); it never
-# grows.
+# data of a response is one slice.
+#
+# Memory: 384 KiB, and the profile's blocks (Blocks); it never grows.
 
 from __future__ import annotations
 
@@ -120,7 +121,7 @@ def _check_range(address: int, quantity: int) -> None:
         raise ValueError(f"addresses {address}..{address + quantity - 1} are not in 0..65535")
 
 
-# Registers that can only be read as a block, from the block's first address on.
+# Blocks are registers that can only be read together, from the first address of the block on.
 #
 # A block is a group of registers that exists beside the table of the same addresses: points with
 # the key `block` in the profile. A read that begins at a block's first address returns the block's

@@ -22,8 +22,8 @@
 # image the values are, and skips the checks; with more, it forgets all of them. A read whose values
 # may differ from the image (Behaviour.is_live) is not remembered.
 #
-# A responder is one device. It ignores the unit number: units.py passes it the requests that are
-# for it.
+# A responder is one device. It ignores the unit number: Units (below) passes it only its own
+# requests.
 
 from __future__ import annotations
 

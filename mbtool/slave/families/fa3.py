@@ -431,7 +431,7 @@ class Fa3DigitalOutput(Fa3):
 # FA3-AT1M8X. RWr2 to RWr9 of the image hold the inputs as digital values from 0 to 16000. A master
 # reads them averaged and scaled. X10 to X17 are set once a channel's first value is complete; until
 # then, after an initial data setting, RWr keeps the previous value. A disabled channel reads 0.
-# Assumed: averaging process 3 is a moving average; the time of a conversion (conversion.py); a time
+# Assumed: averaging process 3 is a moving average; the time of a conversion (CONVERSION_NS); a time
 # or count of 0 means sampling.
 #
 # FA3-AT1M8Y. A channel puts out its digital value if D/A conversion (0102H) and its output (Y10 to

@@ -1,7 +1,7 @@
 """A WAGO 750 coupler: its counters, commands, connections, process image and watchdog."""
 
 # Sources: the two manuals that mbtool/devices/profiles/wago-750.toml was made from. The process
-# image is in wago_image.py, the watchdog in wago_watchdog.py.
+# image and the watchdog are described below.
 #
 #     07         returns the first eight inputs
 #     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)

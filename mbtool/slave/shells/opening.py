@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbtool.slave.device.connection_policy import ConnectionPolicy
     from mbtool.slave.shells.shell import OnExchange, Shell
 
-# Several shells that answer at the same time and are started and stopped together.
+# The class below starts and stops several shells together.
 
 _GLANCE_S = 0.0
 

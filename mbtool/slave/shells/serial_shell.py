@@ -9,7 +9,7 @@
 # CRC or LRC; noise. No other slave answers for the units played here, so a frame for one of them is
 # a request, even if it equals the response before it (functions 05 and 06).
 #
-# With strict timing (strict_timing.py), an RTU request without the silences that the standard
+# With strict timing (StrictTiming), an RTU request without the silences that the standard
 # demands gets no response, and any other request is executed only when t3.5 has passed after it.
 #
 # Adapters that echo the bytes written to them cannot be used: their echo would look like a request.

@@ -1,6 +1,6 @@
 """Simulates slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
-# Each master has a MasterConnection (tcp_connection.py). The listener (ports/tcp_listener.py)
+# Each master has a MasterConnection. The listener (ports/tcp_listener.py)
 # decides which machines may connect. The rules of the simulated device (connection_policy.py), or
 # Bounds if the device has none, decide how many masters stay connected, and how long.
 #
@@ -17,8 +17,8 @@
 #     waiting       a connection with so many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
-# An FA3 module takes no connections for a while after a remote reset. Its port then stays bound but
-# does not listen, so the system refuses masters, as a real device does while it starts.
+# For a while after a remote reset, an FA3 module accepts no connections. Its port then stays bound
+# but does not listen, so the system refuses masters, as a real device does while it starts.
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder, Response
     from mbtool.slave.device.connection_policy import KeepAlive, Peer
 
-# One master's connection to a TCP slave: requests in, responses out, in the same order.
+# MasterConnection is one master's connection to a TCP slave.
 #
 # Most reads of the socket bring exactly one request, which is answered straight from the buffer.
 # All else goes through the splitter, which finds requests in a stream of bytes: requests in pieces,
@@ -115,7 +115,7 @@ class Host(Protocol):
         for as long as they say.
         """
 
-    def once_closed(self, ends: Callable[[], None]) -> None:
+    def after_rules_applied(self, ends: Callable[[], None]) -> None:
         """Apply the rules, and call `ends` once they are in force."""
 
 
@@ -336,7 +336,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._end_timer = self._loop.call_later(rest_s, self._end_as_planned, ending)
             return
         self._rules.ends(self.peer, self._clock())
-        self._shell.once_closed(lambda: self._end(b"", ending))
+        self._shell.after_rules_applied(lambda: self._end(b"", ending))
 
     def _end(self, last: bytes, ending: ConnectionEnding) -> None:
         """Send the bytes `last`, then close or reset the connection, as `ending` says."""
@@ -501,7 +501,7 @@ class TcpSlave(Shell):
         if self._closed_s() > 0:
             self._woken.set()
 
-    def once_closed(self, ends: Callable[[], None]) -> None:
+    def after_rules_applied(self, ends: Callable[[], None]) -> None:
         if self.rules.changed:
             self.follow_rules()
         if self._closed_s() > 0 and not self._is_closed:

@@ -95,7 +95,7 @@ class UdpSlave(Shell):
 
     def take(self, data: bytes, address: tuple[Any, ...]) -> None:
         """Answer the requests in a datagram from `address`."""
-        refusal = self._listener.stranger(address[0])
+        refusal = self._listener.refusal_text(address[0])
         if refusal is not None:
             self._tell_refused(address[0], refusal)
             return

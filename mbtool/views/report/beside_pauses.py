@@ -1,7 +1,7 @@
 """Keeps the transactions before and after the longest pauses of each poll, for the report's table.
 
-A poll is all equal requests of one master. Which of its pauses are told is known at the end only
-(troubles/polling.py).
+A poll is all equal requests of one master. Only at the end of the capture it is known which of its
+pauses are reported (troubles/polling.py).
 """
 
 # Memory: the last transaction of each of at most MAX_POLLS polls, and two transactions for each of
@@ -63,7 +63,7 @@ class BesidePauses:
         if last is not None:
             pause_ns = one.start_ns - last.one.start_ns
             if pause_ns < 0:
-                return  # It became known late, as it has no response.
+                return  # It has no response, so it was decoded late.
             if self._is_long(key, pause_ns):
                 self._add(key, last, asked)
         self._set_last(key, asked)

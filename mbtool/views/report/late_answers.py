@@ -1,7 +1,7 @@
 """Keeps the slowest answers of each unit until a report knows which of them were late."""
 
-# An answer is late if it takes many times the median of its unit (troubles/polling.py). The
-# median is known at the end only, so the longest answers from LATE_NS on are kept until then.
+# An answer is late if it takes many times the median of its unit (troubles/polling.py). The median
+# is known only at the end, so until then the longest answers of LATE_NS and more are kept.
 #
 # Memory: OF_UNIT transactions for each of MAX_UNITS units.
 

@@ -189,7 +189,7 @@ class TransactionRows:
     ) -> list[int]:
         if self.begin_ns is None:
             self.begin_ns = one.start_ns
-        # Its count of equal requests is left out: it also counts those at the usual period.
+        # Leave out `retries`, because it also counts equal requests at the usual period.
         text, result = transaction_text(replace(one, retries=0) if one.retries else one), ""
         if is_damaged:
             text, result = text.partition(_ARROW)[0], _DAMAGED

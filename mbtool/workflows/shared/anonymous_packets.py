@@ -1,17 +1,17 @@
 """Replaces in captured packets and frames what shows a plant: addresses, names and texts."""
 
-# Of a packet these bytes stay what they are: the headers of the link layer, of IP, TCP and UDP but
-# for addresses and IP options, and the payload at the ports of Modbus but for texts. All else
-# becomes zeros: other payload, ARP, trailers behind the IP packet, 802.11 frames without a readable
-# IP packet. So packets keep their number, size and order, and reassembly and decoding go the same
-# way. Inside tunnels the same is done.
-# Checksums are computed anew where the packet is whole.
+# These bytes of a packet stay unchanged: the headers of the link layer, of IP, TCP and UDP except
+# addresses and IP options, and the payload at Modbus ports except texts. All other bytes become
+# zeros: other payload, ARP, trailers behind the IP packet, 802.11 frames without a readable IP
+# packet. So packets keep their number, size and order, and are reassembled and decoded as before.
+# Packets inside tunnels are treated in the same way. If a packet is whole, its checksums are
+# computed anew.
 #
-# A text is a run of at least MIN_TEXT printable characters of which most are letters and digits and
-# MIN_LETTERS are letters, or of MIN_WIDE characters with a zero byte before each. In responses that
-# identify a device (functions 11H and 2BH) runs of MIN_IDENTITY characters count. A byte count
-# before a text may be printable, too; it stays. RTU frames and ASCII frames get a new CRC or LRC.
-# A text that ends within a packet and goes on in the next is two texts.
+# A text is a run of at least MIN_TEXT printable characters, of which most are letters and digits
+# and at least MIN_LETTERS are letters; or a run of MIN_WIDE characters with a zero byte before
+# each. In responses that identify a device (functions 11H and 2BH), MIN_IDENTITY characters are
+# enough. A byte count before a text stays unchanged, even if it is printable. RTU and ASCII frames
+# get a new CRC or LRC. A text that continues in the next packet is replaced as two texts.
 
 from __future__ import annotations
 

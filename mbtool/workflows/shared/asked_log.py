@@ -1,10 +1,11 @@
 """Logs a serial line while a master of this program asks there."""
 
-# The log has two links for the one line: what was heard while nothing of ours was pending, and our
-# requests with what came after them. So the two masters of a line are told apart by every command
-# that reads the log, each with its own polls. Only bytes are logged; reading the log decodes them.
+# The log has two links for the one line. One has the bytes that came while no request of this
+# program was pending. The other has the requests of this program, and the bytes that came while
+# they were pending. So every command that reads the log shows the two masters of the line apart,
+# each with its own polls. Only bytes are logged; they are decoded when the log is read.
 #
-# Memory: what the log writer holds until its next flush.
+# Memory: the bytes that the log writer holds until its next flush.
 
 from __future__ import annotations
 

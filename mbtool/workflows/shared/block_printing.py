@@ -9,8 +9,7 @@ decodes the next packets: `python -m mbtool.workflows.shared.block_printing`.
 # The reply on standard output is a pickled object behind its size. Printed lines are passed back in
 # the same file in memory.
 #
-# When standard input ends, the Parquet file is completed. That happens also if the parent is
-# killed.
+# When standard input ends, also because the parent was killed, the Parquet file is completed.
 
 from __future__ import annotations
 

@@ -5,13 +5,14 @@
 # that of one process. A Parquet file is written by one child. Lines are made by several children in
 # turn, and the main process prints them in order.
 #
-# The arrays of a block are passed through files in memory. Each child has SLOTS of them, so that
-# its next block is there when it has finished one. Memory: SLOTS blocks for each child, and their
-# lines.
+# The arrays of a block are passed through files in memory. Each child has SLOTS of these files, so
+# that its next block waits there when it has finished one.
+#
+# Memory: SLOTS blocks for each child, and their lines.
 #
 # If a child is killed, the main process notices that its replies end. Each child is in a process
-# group of its own (child.py), so Ctrl-C reaches only the main process. A child ends when its
-# standard input is closed.
+# group of its own (sources/child.py), so Ctrl-C reaches only the main process. A child ends when
+# its standard input is closed.
 
 from __future__ import annotations
 
@@ -105,7 +106,7 @@ class BlockProcesses:
                 continue
             process = self._processes[number % len(self._processes)]
             if process.is_full:
-                yield waiting.popleft().take()  # `process` has the oldest block: they take turns.
+                yield waiting.popleft().take()  # They take turns: it has the oldest block.
             process.send(block)
             waiting.append(process)
             number += 1

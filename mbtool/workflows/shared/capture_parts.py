@@ -3,10 +3,10 @@
 # tcpdump -G and -C, dumpcap -b and sniff --rotate split a capture into several files while
 # connections are open, so a transaction may begin in one file and end in the next.
 #
-# A file of packets continues the capture of the file before it if its first packet is later than
-# the first packet of that file, at most BACK_NS earlier than its last packet, and has a link type
-# that also occurs in that file; and if it does not come later than GAP_NS, and than the capture so
-# far is long. A rotated capture goes on at once, or as soon as somebody speaks again.
+# A file of packets continues the capture of the previous file if three conditions are met. Its
+# first packet is later than the first packet of that file, and at most BACK_NS earlier than its
+# last packet. Its first packet has a link type that also occurs in that file. And the time since
+# the last packet is at most GAP_NS, or at most as long as the capture so far.
 #
 # A log continues the log before it if both have the same metadata of the recording, links, devices
 # and profiles, if its part number is the next one, and if it does not begin earlier.

@@ -1,9 +1,10 @@
 """Writes a log of `sniff` and adds the findings (broken rules) that need several transactions."""
 
-# A transaction contains the codes of the findings about itself alone; the log writer writes these.
-# For all other findings, each item of the log is passed to the rules that `check` uses. Findings
-# about the capture as a whole are written when the log is closed. Memory: that of the rules, which
-# their modules in devices/checking/ state.
+# A transaction contains the codes of findings that concern it alone; the log writer writes them
+# with it. For all other findings, each item of the log is passed to the rules of `check`. Findings
+# about the whole capture are written when the log is closed.
+#
+# Memory: that of the rules, which their modules in devices/checking/ state.
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ after 1 s, 3 s, 7 s and so on, then every minute, when a link is lost or returns
 """
 
 # The recorder's thread calls `write` and `tick`. So a heartbeat also proves that this thread runs.
+#
 # Memory: the counters.
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
 """Finds the capture files that a user names: files, folders, and quoted patterns."""
 
-# A folder stands for all captures in it and below. They are known by their names, as a folder may
-# hold much else; a text log or the bytes of a serial line must be named. A pattern stands for the
-# files that fit it. Both come in the order of their names, with numbers in them as numbers, so that
-# site-2.pcap comes before site-10.pcap. Of the names of one file (symbolic links) in folders and
-# patterns only one is taken: not that of a link, if there is another.
+# A folder stands for all captures in it and in its subfolders. Only files with the name of a
+# capture (.pcap, .pcapng, .cap, .mcap) are taken, because a folder may hold other files; a text log
+# or a file with the bytes of a serial line must be named by itself. A pattern stands for the files
+# that match it. The files of a folder or pattern are sorted by name, and numbers in names are
+# compared as numbers, so that site-2.pcap comes before site-10.pcap. If symbolic links give one
+# file several names in folders and patterns, it is taken once: under its own name if that is found,
+# otherwise under the name of a link.
 
 from __future__ import annotations
 

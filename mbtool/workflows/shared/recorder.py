@@ -162,7 +162,7 @@ class Recorder:
             "discarded_bytes": str(self._discarded_bytes),
         }
         try:
-            if self._failure is None and (self._is_behind or self.waiting or self._news):
+            if self._failure is None and (self._is_behind or self.waiting or self._has_new_drops):
                 self._mark(self._now_ns(), self.waiting)
         finally:
             if self.waiting or self.dropped:
@@ -219,13 +219,14 @@ class Recorder:
             self._awaited = self._recorded, now_ns
         has_changed = was_behind != self._is_behind
         if has_changed or (
-            (self._is_behind or self._news) and not 0 <= now_ns - self._marked_ns < _MARK_NS
+            (self._is_behind or self._has_new_drops)
+            and not 0 <= now_ns - self._marked_ns < _MARK_NS
         ):
             self._mark(now_ns, self.waiting if self._is_behind else 0)
         self._log.tick(now_ns)
 
     @property
-    def _news(self) -> bool:
+    def _has_new_drops(self) -> bool:
         """True if chunks or packets were dropped without being decoded since the last mark in the
         log.
         """

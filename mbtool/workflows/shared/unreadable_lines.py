@@ -4,7 +4,7 @@
 # sent. The right settings cannot be found from them, so the user is advised to listen again with
 # LINK@auto. With the wrong mode (RTU for ASCII), or with 8 data bits instead of 7, the sent bytes
 # can still be recovered. Then the user is advised to use the settings with which the unreadable
-# bytes are frames with a correct CRC or LRC (settings_fit.py).
+# bytes are frames with a correct CRC or LRC (serial_line/settings_fit.py).
 #
 # A line is unreadable if at least MIN_BYTES of its bytes are in no frame, less than MAX_READ_SHARE
 # of all bytes are in frames, and most requests stay without an answer. In a live capture the user

@@ -502,9 +502,10 @@ function latency() {
   const place = el("div");
   const draw = (at) => place.replaceChildren(histogram(...sources[at]));
   draw(0);
-  const rows = sources.map(([name, one]) => [name, count(one.count), digits(one.mean_ms), digits(one.min_ms), digits(one.p50_ms), digits(one.p95_ms), digits(one.p99_ms), digits(one.max_ms)]);
+  const percentiles = sources.length ? Object.keys(sources[0][1]).filter((key) => /^p\d+_ms$/.test(key)) : [];
+  const rows = sources.map(([name, one]) => [name, count(one.count), digits(one.mean_ms), digits(one.min_ms), ...percentiles.map((key) => digits(one[key])), digits(one.max_ms)]);
   show("latency", `up to ${digits(Math.max(...sources.map(([, one]) => one.max_ms)))} ms`, soft("From the end of a request to the start of its response, in ms."), over, chooser("Histogram of", sources.map(([name]) => name), draw), place,
-    table("Latency, ms", ["~unit and function", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
+    table("Latency, ms", ["~unit and function", ">answers", ">mean", ">least", ...percentiles.map((key) => `>${key.slice(0, -3)}`), ">most"], rows));
 }
 
 /* Bars of equal width up to p99: a single late answer would leave all others one bar. */
