@@ -61,7 +61,8 @@ collected: $(VENV)/installed-test
 # once more, alone; the output of the first run names it, and it is a fault to mend all the same.
 test: $(VENV)/installed-test
 	$(MAKE) --jobs=2 --output-sync=target lint collected
-	$(RUN)/pytest $(IN_PARALLEL) || $(RUN)/pytest --last-failed --last-failed-no-failures none
+	$(RUN)/pytest $(IN_PARALLEL) || { \
+		test $$? -eq 1 && $(RUN)/pytest --last-failed --last-failed-no-failures none; }
 
 quick: $(VENV)/installed-test
 	$(RUN)/ruff check .

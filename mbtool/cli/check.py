@@ -121,7 +121,12 @@ def check(
     from mbtool.cli import exit_codes
     from mbtool.cli.output import opened, say_if_empty, told_as_lost, verdict_kept
     from mbtool.cli.output_file import is_old
-    from mbtool.cli.output_path import chosen_format, demand_other_file, named_file
+    from mbtool.cli.output_path import (
+        chosen_format,
+        demand_new,
+        demand_other_file,
+        named_file,
+    )
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import InputError
@@ -141,6 +146,7 @@ def check(
     chosen = chosen_format(format_, path, _SUFFIXES, CheckFormat.TABLE)
     broken: InputError | None = None
     if baseline:
+        demand_new(path, overwrite=overwrite)
         with interruption_told():
             run.reading.demand_files()
             for remark in run.learn(baseline, with_progress):
@@ -170,6 +176,8 @@ def check(
     if broken is not None:
         raise broken
     say_if_empty(run.reading)
+    if run.norm_remark is not None:
+        say(run.norm_remark)
     if run.is_anything_wrong:
         raise typer.Exit(exit_codes.NO)
 

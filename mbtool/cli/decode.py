@@ -111,7 +111,11 @@ def decode(
     table: TableOptionGroup,
     sort: Annotated[
         SortKey | None,
-        typer.Option("--sort", help="Order of the rows; all of them are held until the end."),
+        typer.Option(
+            "--sort",
+            help="Order of the rows; all of them are held until the end. Without it, a row comes "
+            "when it is sure how its transaction ended.",
+        ),
     ] = None,
     jobs: JobsOption = None,
     group: JobOptionGroup,

@@ -18,7 +18,12 @@ def line(
     ] = None,
     settings: Annotated[
         str,
-        typer.Option("--settings", metavar="BAUD-FORMAT", help="How fast it carries characters."),
+        typer.Option(
+            "--settings",
+            metavar="BAUD-FORMAT",
+            help="How fast it carries characters. Programs "
+            "that the system refuses parity on such a port work with 19200-8N1.",
+        ),
     ] = "19200-8E1",
 ) -> None:
     """Lay a virtual serial line, until Ctrl-C.

@@ -123,6 +123,7 @@ class Polling:
         """
         due_ns = time.monotonic_ns()
         rounds = 0
+        self._asker.stop_when(lambda: interrupt.asked)
         while not interrupt.asked and rounds != count:
             for pdu in self._requests:
                 self._send(pdu, interrupt)
@@ -140,10 +141,10 @@ class Polling:
 
     def _send(self, pdu: bytes, interrupt: Interrupt) -> None:
         while not interrupt.asked:
-            if self._ask(pdu):
+            if self._ask(pdu, interrupt):
                 return
 
-    def _ask(self, pdu: bytes) -> bool:
+    def _ask(self, pdu: bytes, interrupt: Interrupt) -> bool:
         """Send a request, and print its transaction; False if another master leaves no pause for
         it, though it left one before.
         """
@@ -153,10 +154,12 @@ class Polling:
         try:
             transaction, events = self._asker.ask(pdu)
         except NoPauseError as error:
+            if interrupt.asked:
+                return False
             if not self._tally.outcomes:
                 raise
             if not self._waits:
-                say(f"mbtool: {error}. It waits until there is one")
+                say(f"mbtool: {error}. poll waits for a longer pause")
                 self._waits = True
             self._asker.listen(_LISTEN_NS)
             return False

@@ -27,8 +27,10 @@ from mbtool.packets.pcap import (
     MAX_CAPTURED,
     PCAP_HEADER,
     PCAP_MAGICS,
+    SEARCHED,
     PcapForm,
     cut_error,
+    next_record,
     read_pcap_form,
     too_long_error,
     zeros_error,
@@ -38,6 +40,7 @@ from mbtool.packets.pcapng import BLOCK_ENHANCED, MAX_BLOCK, PCAPNG_MAGIC, Pcapn
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.core import DamageError
     from mbtool.packets.pcapng import PcapngInterface
 
 BLOCK_PACKETS = 65_536
@@ -241,8 +244,11 @@ class _PcapBlocks:
         self._record = np.dtype([(each, form.order + "u4") for each in ("s", "f", "cap", "len")])
         self._number = 0
         """The number of packets in the blocks that were yielded so far."""
+        self._last_s: int | None = None
+        """The time (UTC s) of the last of them."""
 
     def blocks(self) -> Iterator[PacketBlock]:
+        damage: DamageError | None = None
         while True:
             data, begin, end = self._source.held(BLOCK_BYTES)
             if begin == end:
@@ -250,15 +256,26 @@ class _PcapBlocks:
             heads, at, too_long = self._walk(data, begin, end)
             if heads:
                 self._source.drop(at - begin)
-                yield self._block(_octets(data, begin, at), heads)
+                block = self._block(_octets(data, begin, at), heads)
+                yield block
                 self._number += len(heads)
+                self._last_s = int(block.ts_ns[-1]) // SECOND_NS
             elif too_long:
-                raise too_long_error(self._name, self._number, too_long)
+                passed = next_record(self._source.peek(SEARCHED), self._form, self._last_s)
+                error = too_long_error(self._name, self._number, too_long, passed)
+                damage = damage or error
+                if passed is None:
+                    raise damage
+                self._source.drop(passed)
+            elif damage is not None:
+                raise damage
             else:
                 if self._has_zeros(data, begin):
                     raise zeros_error(self._name, self._number)
                 self._source.raise_error()
                 raise cut_error(self._name, self._number)
+        if damage is not None:
+            raise damage
         self._source.raise_error()
 
     def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, int]:

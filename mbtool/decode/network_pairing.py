@@ -31,8 +31,10 @@
 # the only pending request if three conditions are met: the response fits the request; no earlier
 # request can still wait for its response, and the capture lacks no bytes; and this slave never
 # repeated an id correctly, or acknowledgements show that nothing came between the two. A slave may
-# also repeat the id and respond with another unit, as a module that ignores the unit does. Then the
-# response belongs to the only pending request if no missing bytes and no other ADU lie between.
+# also repeat the id and respond with another unit, as a module that ignores the unit does (asked as
+# FFH, it calls itself 1). Then the response belongs to the only pending request with the id, if no
+# missing bytes and no other ADU lie between. If the capture begins within the connection, this
+# holds once ids are known to vary.
 #
 # A response without a request is unsolicited. But its outcome is not-captured if the capture lacked
 # bytes of requests in the TIMEOUT_NS before it, because its request may be among them. If the
@@ -61,6 +63,7 @@ from mbtool.decode.pairing_readings import (
     MARGIN,
     MAX_BEFORE,
     MAX_PASSED,
+    REQUEST_BEFORE,
     UNASKED,
     PairOption,
     PairReading,
@@ -400,6 +403,13 @@ class NetworkPairing:
         self, reading: PairReading, response: Adu, place: AduPlace | None, *, is_only_one: bool
     ) -> list[PairOption]:
         found = [*options(reading, response, place, self._habits)]
+        is_before = all(option.request is REQUEST_BEFORE for option in found)
+        if found and is_before and is_only_one:
+            one = self._of_other_id(reading, response, place)
+            if one is not None and one.transaction_id == response.transaction_id:
+                if self._habits.ids_vary:
+                    return [PairOption(0.0, one)]
+                one.may_be_lost = True  # This may be its response.
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
@@ -416,6 +426,9 @@ class NetworkPairing:
         acknowledges a new request with the response to an earlier one.
         """
         requests = [*reading.passed, *reading.waiting]
+        if len(requests) > 1 and self._habits.ids_vary:
+            same = response.transaction_id
+            requests = [one for one in requests if one.transaction_id == same]
         if len(requests) != 1:
             return None
         (one,) = requests

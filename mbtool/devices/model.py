@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from enum import StrEnum
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 from typing import Annotated
 
 import msgspec
@@ -447,16 +447,15 @@ class Profile(_Part, frozen=True, kw_only=True, dict=True):
         """
         allowed = {}
         for table, writing in product(Table, (False, True)):
-            own = [area for area in self.areas if area.table is table]
-            cuts = sorted({at for area in own for at in (area.first, area.last + 1)})
             firsts: list[int] = []
             ends: list[int] = []
-            for first, end in pairwise(cuts):
-                area = self.area(table, first, writing=writing)
-                if area is None or not area.access.allows(writing=writing):
-                    continue
-                if ends and ends[-1] == first:
-                    ends[-1] = end
+            for first, end in sorted(
+                (area.first, area.last + 1)
+                for area in self.areas
+                if area.table is table and area.access.allows(writing=writing)
+            ):
+                if ends and first <= ends[-1]:
+                    ends[-1] = max(ends[-1], end)
                 else:
                     firsts.append(first)
                     ends.append(end)

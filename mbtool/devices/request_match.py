@@ -149,9 +149,6 @@ class _Limit(NamedTuple):
     """What it says of a larger quantity."""
 
 
-_ANY = 1 << 32
-
-
 def _limit(profile: Profile, function: int, *, writes: bool) -> _Limit:
     rule = profile.rule(function)
     if rule is None:
@@ -160,7 +157,7 @@ def _limit(profile: Profile, function: int, *, writes: bool) -> _Limit:
     if function == READ_WRITE_REGISTERS and writes:
         most = rule.write_limit or WRITE_LIMIT_17H
     else:
-        most = rule.limit or (known.limit if known is not None else 0) or _ANY
+        most = rule.limit or (0 if known is None else known.limit)
     return _Limit(most, f"its manual has function {function:02X}", f"its manual's limit is {most}")
 
 

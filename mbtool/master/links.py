@@ -141,6 +141,8 @@ class MasterLink(ABC):
 
     def __init__(self) -> None:
         self._unread: deque[Skipped] = deque(maxlen=MAX_UNREAD)
+        self.is_stopped: Callable[[], bool] = lambda: False
+        """Returns True once no request shall wait for a pause of another master any more."""
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -616,7 +618,9 @@ class SerialMaster(MasterLink):
         if self._other is None:
             return super()._await_turn(unit, pdu)
         until_ns = time.monotonic_ns() + self._longest_turn_ns
-        while not self._other.has_known_pauses and time.monotonic_ns() < until_ns:
+        while not (
+            self._other.has_known_pauses or self.is_stopped() or time.monotonic_ns() >= until_ns
+        ):
             self._overhear_other()
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         # Once a request was sent, the shortest pause may have been an exception: wait for a longer
@@ -633,7 +637,7 @@ class SerialMaster(MasterLink):
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
         while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
-            if now_ns > until_ns:
+            if now_ns > until_ns or self.is_stopped():
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
                     f"{duration(self._longest_turn_ns)}; the request was not sent"

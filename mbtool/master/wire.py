@@ -39,7 +39,9 @@ if TYPE_CHECKING:
 
 _ASCII_END = b"\r\n"
 QUIET_NS = 300_000_000
-"""Bytes that must get no answer have got none if nothing comes for this time, in ns."""
+"""Bytes that must get no answer have got none if nothing comes for this time, in ns, and for
+QUIET_TIMES the longest time that an answer has taken."""
+QUIET_TIMES = 2
 _LEAST_GAP_NS = 40_000_000
 """After a whole response on a serial line further bytes are awaited for at least this time, in ns:
 USB adapters deliver bytes in blocks up to 16 ms apart."""
@@ -86,6 +88,8 @@ class Wire(ABC):
     def __init__(self, timeout_ns: int) -> None:
         self.timeout_ns = timeout_ns
         self._last_id = 0
+        self._longest_ns = 0
+        """The longest time, in ns, that an answer has taken."""
 
     @abstractmethod
     def adu(self, unit: int, pdu: bytes) -> bytes:
@@ -95,7 +99,8 @@ class Wire(ABC):
     def send(self, pieces: Sequence[bytes], pause_ns: int = 0, awaited: int = 1) -> Heard:
         """Send pieces with a pause between them, and return what comes back.
 
-        Waits for `awaited` ADUs on TCP; with 0, as for bytes that get no answer, at most QUIET_NS.
+        Waits for `awaited` ADUs on TCP; with 0, as for bytes that get no answer, for QUIET_NS, or
+        longer if answers have taken longer.
         Raises LinkError if the link is lost.
         """
 
@@ -112,7 +117,8 @@ class Wire(ABC):
         """Say why the bytes of an answer are no ADU; `request` is the PDU that was sent."""
 
     def _wait_ns(self, awaited: int) -> int:
-        return self.timeout_ns if awaited else min(self.timeout_ns, QUIET_NS)
+        quiet_ns = max(QUIET_NS, QUIET_TIMES * self._longest_ns)
+        return self.timeout_ns if awaited else min(self.timeout_ns, quiet_ns)
 
     @abstractmethod
     def close(self) -> None: ...
@@ -194,6 +200,7 @@ class SerialWire(Wire):
                 raw += data
                 patience = Patience(self._gap_ns if self._adus(raw) else _REST_NS)
         after_ns = first_ns - (begin_ns if since_ns is None else since_ns) if first_ns else 0
+        self._longest_ns = max(self._longest_ns, after_ns)
         return Heard(
             raw,
             self._adus(raw),
@@ -335,6 +342,7 @@ class TcpWire(Wire):
         adus = self._adus(raw)
         size = 0 if self._link.rtu else sum(MBAP_BYTES + len(one.pdu) for one in adus)
         after_ns = max(first_ns - sent_ns, 0) if raw else 0
+        self._longest_ns = max(self._longest_ns, after_ns)
         rest = raw[size:] if adus and size else b""
         return Heard(raw, adus, after_ns, is_closed, was_closed, rest=rest)
 

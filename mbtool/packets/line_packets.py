@@ -246,22 +246,27 @@ def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
 
 
 def error_packet(event: WireEvent) -> Packet | None:
-    """Return a packet of link type 250 (RTAC_SERIAL) without bytes that tells a framing error, a
-    parity error or a break of a serial line; None for another event.
+    """Return a packet of link type 250 (RTAC_SERIAL) without bytes that reports a framing error, a
+    parity error or a break of a serial line.
+
+    Returns None for another event, and for one that may be several of them.
     """
-    for code, (kind, message) in _REPORTED.items():
-        is_alike = kind is event.kind is EventKind.LINE_ERROR
-        if is_alike and message.split()[1] in event.message:
-            data = rtac_packet(event.ts_ns, b"", by_master=False)
-            data = data[:_EVENT_AT] + bytes((code,)) + data[_EVENT_AT + 1 :]
-            return Packet(
-                ts_ns=max(event.ts_ns, 0),
-                link=event.link,
-                link_type=RTAC_SERIAL,
-                data=data,
-                original_length=len(data),
-            )
-    return None
+    codes = [
+        code
+        for code, (kind, message) in _REPORTED.items()
+        if kind is EventKind.LINE_ERROR and message.split()[1] in event.message
+    ]
+    if event.kind is not EventKind.LINE_ERROR or len(codes) != 1:
+        return None
+    data = bytearray(rtac_packet(event.ts_ns, b"", by_master=False))
+    data[_EVENT_AT] = codes[0]
+    return Packet(
+        ts_ns=max(event.ts_ns, 0),
+        link=event.link,
+        link_type=RTAC_SERIAL,
+        data=bytes(data),
+        original_length=len(data),
+    )
 
 
 class OpenReads:

@@ -5,7 +5,7 @@
 # connection go on from packet to packet. Nothing else is made: no handshake, no end, no packet
 # without bytes.
 #
-# Memory: two numbers for each connection.
+# Memory: two numbers for each connection of the input, all of them until its end.
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ _FIRST = 1
 """The sequence number of the first byte in each direction."""
 _WINDOW = 0xFFFF
 _HOPS = 64
+_MOST_BYTES = 0xFFFF - 20 - 20
+"""So many bytes fit into a packet of IPv4 with TCP."""
 
 
 class PacketMaker:
@@ -50,6 +52,8 @@ class PacketMaker:
         if source.version != destination.version:
             raise ValueError("one end is IPv4, the other one IPv6")
         ports = tuple(end.port for end in ends)
+        if len(data) > _MOST_BYTES:
+            raise ValueError(f"{len(data)} bytes do not fit into a packet")
         if connection.is_udp:
             protocol, header = UDP, struct.pack(">HHHH", *ports, 8 + len(data), 0)
         else:
@@ -74,8 +78,6 @@ class PacketMaker:
 
 def _ip_header(addresses: bytes, size: int, protocol: int) -> bytes:
     """Return an IP header for the two addresses, and for `size` bytes behind it."""
-    if size + 20 > 0xFFFF:
-        raise ValueError(f"{size} bytes do not fit into a packet")
     if len(addresses) > 8:
         return struct.pack(">IHBB", 6 << 28, size, protocol, _HOPS) + addresses
     header = struct.pack(">BBHHHBBH", 0x45, 0, 20 + size, 0, 0, _HOPS, protocol, 0) + addresses

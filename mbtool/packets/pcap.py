@@ -15,7 +15,9 @@
 # many zeros. A compressed file of some kilobytes may hold a gigabyte of them, so they are not read
 # as empty packets.
 #
-# Limit: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage.
+# Limits: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage. Behind
+# it reading goes on at the next place where two records seem to follow one another, if there is one
+# within SEARCHED bytes; the error about the damage is raised at the end.
 
 from __future__ import annotations
 
@@ -29,6 +31,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MAX_CAPTURED = 256 * 1024
+
+SEARCHED = 1024 * 1024
+"""Behind damage, the next record is searched in this many bytes."""
+_NEAR_S = 24 * 3600
+"""The next record behind damage is at most so many seconds earlier or later than the last one."""
+_MAX_ORIGINAL = 16 * 1024 * 1024
+"""The most bytes that a packet had on the wire, for the search; hardware that joins TCP segments
+makes packets of up to some hundred kB."""
 
 PCAP_HEADER = 24
 """The length of the file header, with its magic, in bytes."""
@@ -61,29 +71,39 @@ class PcapForm(NamedTuple):
     link_type: int
 
 
-def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
+def read_pcap(source: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     """Yield the packets of a pcap file whose first 4 bytes, `magic`, are read already.
 
     Raises InputError for an unknown version, DamageError if the file is damaged, CutError if it
-    ends too early; the last two after all earlier packets.
+    ends too early; the last two after all packets that can be read.
     """
-    form = read_pcap_form(magic, stream.read(PCAP_HEADER - len(magic)), name)
+    form = read_pcap_form(magic, source.read(PCAP_HEADER - len(magic)), name)
+    stream: BinaryIO | _Rest = source
     unit_ns, link_type = form.unit_ns, form.link_type
     record = struct.Struct(f"{form.order}IIII{form.extra}x")
     size = record.size
     number = 0
+    last_s: int | None = None
+    damage: DamageError | None = None
     while record_header := stream.read(size):
         if len(record_header) < size:
-            raise cut_error(name, number)
+            raise damage or cut_error(name, number)
         seconds, fraction, captured, original = record.unpack(record_header)
         if captured > MAX_CAPTURED:
-            raise too_long_error(name, number, captured)
+            window = record_header + stream.read(SEARCHED - size)
+            passed = next_record(window, form, last_s)
+            damage = damage or too_long_error(name, number, captured, passed)
+            if passed is None:
+                raise damage
+            stream = _Rest(window[passed:], stream)
+            continue
         if not (captured or original or seconds or fraction):
-            raise zeros_error(name, number)
+            raise damage or zeros_error(name, number)
         data = stream.read(captured)
         if len(data) < captured:
-            raise cut_error(name, number)
+            raise damage or cut_error(name, number)
         number += 1
+        last_s = seconds
         yield Packet(
             ts_ns=seconds * SECOND_NS + fraction * unit_ns,
             link="if0",
@@ -93,6 +113,50 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
             file=name,
             number=number,
         )
+    if damage is not None:
+        raise damage
+
+
+class _Rest:
+    """A stream of which some bytes were read already."""
+
+    def __init__(self, held: bytes, stream: BinaryIO | _Rest) -> None:
+        self._held = held
+        self._at = 0
+        self._stream = stream
+
+    def read(self, size: int) -> bytes:
+        """Return the next `size` bytes; fewer at the end."""
+        data = self._held[self._at : self._at + size]
+        self._at += len(data)
+        return data if len(data) == size else data + self._stream.read(size - len(data))
+
+
+def next_record(window: bytes, form: PcapForm, last_s: int | None) -> int | None:
+    """Return the offset of the first place in `window`, behind its begin, where a record seems to
+    begin, and another one behind it; None if there is none.
+
+    `last_s` is the time (UTC s) of the last packet, None if there was none. Where `window` has less
+    than SEARCHED bytes, the file ends behind it, and the record may be the last one.
+    """
+    unpack = struct.Struct(f"{form.order}IIII").unpack_from
+    size = 16 + form.extra
+    is_end = len(window) < SEARCHED
+    least_s, most_s = (0, 1 << 32) if last_s is None else (last_s - _NEAR_S, last_s + _NEAR_S)
+    fractions = SECOND_NS // form.unit_ns
+
+    def behind(at: int) -> int:
+        """Return the end of the record at an offset, 0 if there seems to be none."""
+        seconds, fraction, captured, original = unpack(window, at)
+        is_time = least_s <= seconds <= most_s and fraction < fractions
+        is_size = 0 < captured <= MAX_CAPTURED and captured <= original <= _MAX_ORIGINAL
+        return at + size + captured if is_time and is_size else 0
+
+    for at in range(1, len(window) - size + 1):
+        end = behind(at)
+        if end and ((is_end and end == len(window)) or (end + size <= len(window) and behind(end))):
+            return at
+    return None
 
 
 def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
@@ -111,14 +175,16 @@ def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
     return PcapForm(order, unit_ns, extra, link_field & 0xFFFF)
 
 
-def too_long_error(name: str, number: int, captured: int) -> DamageError:
+def too_long_error(name: str, number: int, captured: int, passed: int | None) -> DamageError:
     """The error for a record behind packet `number` that claims to have `captured` bytes.
 
-    That is more than MAX_CAPTURED. `name` is the file's name.
+    That is more than MAX_CAPTURED. `name` is the file's name. `passed` is the number of bytes up to
+    the next record, None if there is none.
     """
+    then = "" if passed is None else f"; {passed} bytes were passed over up to the next record"
     return DamageError(
         f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
-        f"more than {MAX_CAPTURED}"
+        f"more than {MAX_CAPTURED}{then}"
     )
 
 

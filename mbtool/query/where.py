@@ -262,7 +262,7 @@ class _Compiler:
                     meant = f", did you mean {near[0]!r}?" if near else ";"
                     raise self._wrong(
                         f"there is no {_short(name)!r}{meant} there are {', '.join(USUAL_NAMES)}, "
-                        "and the other fields of --json with one number or text"
+                        "and the other fields of docs/filters.md"
                     )
                 return NAMES[name]
             case ast.Subscript(

@@ -169,6 +169,11 @@ class Judge:
         """Judge the values of the captures that follow by those of a baseline as well."""
         self._values.judge_by(norm._values)
 
+    @property
+    def norm_remark(self) -> str | None:
+        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        return self._values.norm_remark
+
     def end_capture(self) -> Iterator[Finding]:
         """Yield the findings that are known only at the end of the present capture."""
         checker, self._checker = self._checker, None

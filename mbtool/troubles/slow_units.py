@@ -57,5 +57,7 @@ def _most_without(in_order: list[int], left_out: int) -> int:
     """Return the number that most of the sorted numbers do not exceed, without the one at index
     `left_out`; 0 if there is no other number.
     """
-    others = in_order[:left_out] + in_order[left_out + 1 :]
-    return others[len(others) // 2] if others else 0
+    if len(in_order) < 2:
+        return 0
+    at = (len(in_order) - 1) // 2
+    return in_order[at + 1 if at >= left_out else at]

@@ -114,10 +114,6 @@ _CODES = (
 )  # fmt: skip
 
 
-_OF_PROFILE = ("VALUE-RANGE", "VALUE-NOT-VALID")
-"""The troubles that a profile knows."""
-
-
 class _Key(NamedTuple):
     link: str
     unit: int
@@ -155,13 +151,20 @@ class _FollowedAnswers:
         self.is_left_out = False
         self.norm_ns: tuple[int, int] | None = None
         """The times (UTC ns) of the first and last answer of the baseline; None without one."""
+        self.norm_rows = 0
+        """The number of answers of the baseline."""
 
-    def span_ns(self) -> tuple[int, int] | None:
-        """The times (UTC ns) of the first and last answer; None if there is none."""
-        times = self.times.tolist()
-        if self.movements is not None:
-            times = [self.movements.first_ns, self.movements.last_ns, *times]
-        return (min(times), max(times)) if times else None
+    def after_norm(self, movements: Movements) -> _FollowedAnswers:
+        """Return a copy of an answered request of the baseline, to which the answers of the checked
+        capture are added. `movements` are its figures.
+        """
+        poll = deepcopy(self)
+        del poll.times[:], poll.words[:]  # `movements` has them, too.
+        poll.movements = deepcopy(movements)
+        poll.movements.forget_profile_faults()
+        poll.norm_ns = movements.first_ns, movements.last_ns
+        poll.norm_rows = movements.rows
+        return poll
 
 
 class ValueFaults(Sense):
@@ -171,6 +174,10 @@ class ValueFaults(Sense):
         self._assignments = assignments
         self._norm: ValueFaults | None = None
         """The values of the baseline."""
+        self._is_compared = False
+        """True if a request of the captures is in the baseline, too."""
+        self._overlaps = False
+        """True if such a request was answered at a time within the baseline."""
         self._is_norm = False
         self._lines: set[str] = set()
         """The serial lines whose values were seen."""
@@ -191,6 +198,18 @@ class ValueFaults(Sense):
     def become_norm(self) -> None:
         """Take the next captures as the baseline, for which no trouble is reported."""
         self._is_norm = True
+
+    @property
+    def norm_remark(self) -> str | None:
+        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        if self._overlaps:
+            return (
+                "the baseline and the checked captures have the same times; values with the same "
+                "times are judged without the baseline"
+            )
+        if self._norm is not None and not self._is_compared:
+            return "the checked captures have no request of the baseline; it was not used"
+        return None
 
     def begin_capture(self) -> None:
         if self._is_norm:
@@ -221,7 +240,7 @@ class ValueFaults(Sense):
         if poll is None:
             if one.transport.is_serial and len(self._polls) < MAX_POLLS:
                 self._lines.add(one.link)
-            poll = self._new_poll(key)
+            poll = self._new_poll(key, one.start_ns)
             if one.device is not None and key in self._polls:
                 self._like[key] = one
         if not poll.is_left_out:
@@ -244,7 +263,7 @@ class ValueFaults(Sense):
             if poll is None:
                 if len(self._polls) >= MAX_POLLS:
                     continue
-                poll = self._new_poll(key)
+                poll = self._new_poll(key, one.request_ns[0])
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())
@@ -256,30 +275,43 @@ class ValueFaults(Sense):
         else:
             self._much_written.add((link, unit))
 
-    def _new_poll(self, key: _Key) -> _FollowedAnswers:
+    def _new_poll(self, key: _Key, at_ns: int) -> _FollowedAnswers:
+        """Return the answers to a request that was answered for the first time, at `at_ns`."""
         poll = _FollowedAnswers()
         if len(self._polls) < MAX_POLLS:
-            polls = {} if self._norm is None else self._norm._polls
-            known = polls.get(key._replace(link=self._norm_link(key.link)))
-            if known is not None:
-                poll = deepcopy(known)
-                poll.norm_ns = known.span_ns()
-            self._polls[key] = poll
+            poll = self._polls[key] = self._after_norm(key, at_ns) or poll
         poll.is_left_out |= not 0 < key.quantity <= 2000
         return poll
 
-    def _norm_link(self, link: str) -> str:
-        """The name of a link in the baseline.
+    def _after_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
+        """Return a copy of the baseline's answers to a request; None if there is none.
 
-        The name of a serial line is that of a port or file, so the only one here is the only one
-        there.
+        The name of a serial line is that of a port or file, so each serial line of the baseline
+        with the same request is taken for the same line; of several the one with most answers.
         """
-        there = set() if self._norm is None else self._norm._lines
-        return (
-            next(iter(there))
-            if len(there) == len(self._lines) == 1 and link in self._lines
-            else link
-        )
+        if self._norm is None:
+            return None
+        alike = [
+            (movements, poll)
+            for norm_key, poll in self._norm._polls.items()
+            if norm_key[1:] == key[1:] and self._is_norm_of(norm_key.link, key.link)
+            if (movements := self._norm._movements(norm_key, poll)) is not None
+        ]
+        if not alike:
+            return None
+        self._is_compared = True
+        movements, known = max(alike, key=lambda one: one[0].rows)
+        if movements.first_ns <= at_ns <= movements.last_ns:
+            self._overlaps = True
+            return None
+        return known.after_norm(movements)
+
+    def _is_norm_of(self, there: str, link: str) -> bool:
+        """True if a link of the baseline is, or may be, a link of the checked captures."""
+        norm = self._norm
+        if norm is None or there == link:
+            return norm is not None
+        return there in norm._lines and link in self._lines and link not in norm._lines
 
     def _take(self, key: _Key, poll: _FollowedAnswers) -> None:
         """Add the answers that wait to the figures of their poll, if they are many."""
@@ -366,10 +398,10 @@ class ValueFaults(Sense):
                 units.setdefault((key.link, key.unit), []).append((table, movements, poll))
         for (link, unit), own in units.items():
             cases = [
-                (table, movements, case)
+                (table, movements, case._replace(of=max(case.of - poll.norm_rows, 0)))
                 for table, movements, poll in own
                 for case in _cases(movements, [one for _, one, _ in own if one is not movements])
-                if not _is_of_norm(case, poll.norm_ns)
+                if poll.norm_ns is None or not poll.norm_ns[0] <= case.at_ns <= poll.norm_ns[1]
             ]
             # Report one fault for each register. Several polls may show the same one.
             cases.sort(key=lambda one: _CODES.index(one[2].code))
@@ -377,8 +409,11 @@ class ValueFaults(Sense):
                 continue
             taken = {each[2:] for each in self._written if each[:2] == (link, unit)}
             if self._norm is not None:
-                there = self._norm_link(link), unit
-                taken |= {each[2:] for each in self._norm._written if each[:2] == there}
+                taken |= {
+                    each[2:]
+                    for each in self._norm._written
+                    if each[1] == unit and self._is_norm_of(each[0], link)
+                }
             by_code: dict[str, list[tuple[Movements, _Case]]] = {}
             for table, movements, case in cases:
                 first = case.value.address
@@ -388,14 +423,6 @@ class ValueFaults(Sense):
                     by_code.setdefault(case.code, []).append((movements, case))
             for code, some in by_code.items():
                 yield _trouble(link, unit, code, some)
-
-
-def _is_of_norm(case: _Case, norm_ns: tuple[int, int] | None) -> bool:
-    """True if something happened in the baseline, so that it is usual."""
-    if norm_ns is None or case.code in _OF_PROFILE:
-        return False
-    at_ns = case.until_ns if case.code == "VALUE-STUCK" else case.at_ns
-    return at_ns is not None and norm_ns[0] <= at_ns <= norm_ns[1]
 
 
 def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case]]) -> Trouble:

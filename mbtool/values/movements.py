@@ -293,6 +293,11 @@ class Movements:
         self._run_row[:], self._run_ns[:], self._run_moves[:] = self.rows, until_ns, self.moves
         self._last = np.full(len(self.values), np.nan)
 
+    def forget_profile_faults(self) -> None:
+        """Forget the values that were outside of the profile's range, or not valid by it."""
+        self._outside.clear()
+        self._not_valid.clear()
+
     def steps(self, place: int) -> list[Move]:
         """Return the largest steps of a value, the largest first."""
         size, before, after, row = self._largest[:, :, place]

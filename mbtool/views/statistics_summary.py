@@ -40,7 +40,7 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
         lines.append(StyledLine(text, _DOUBT))
     if is_counted_together(links):
         lines.append(StyledLine(TOGETHER_TEXT, _DOUBT))
-    if alone := total.transactions - total.requests:
+    if alone := total.count(Outcome.UNSOLICITED):
         text = f"{counted(alone, 'answer', ',')} without a request, not counted above"
         lines.append(StyledLine(text, _DOUBT))
     if lacking := total.count(Outcome.NOT_CAPTURED):

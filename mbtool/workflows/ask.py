@@ -20,6 +20,8 @@ from mbtool.modbus.adu import Transport
 from mbtool.ports.clock import steady_clock
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.core import LinkSpec, WireEvent
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.master.links import MasterLink
@@ -75,6 +77,10 @@ class Asker:
             for one in exchange.unread
         ]
         return self._namer.name(transaction), events
+
+    def stop_when(self, is_stopped: Callable[[], bool]) -> None:
+        """Let no request wait for a pause of another master once `is_stopped` returns True."""
+        self._master.is_stopped = is_stopped
 
     def listen(self, time_ns: int) -> None:
         """Hear another master of the line for a time (ns), to learn the pauses that it leaves."""

@@ -268,7 +268,12 @@ class CheckRun:
         if not norm.transactions:
             raise InputError(f"{', '.join(baseline)}: no transaction in it to compare with")
         self._judge.judge_by(norm._judge)
-        return [*norm.reading.remarks, *remarks]
+        return [f"baseline: {one}" for one in (*norm.reading.remarks, *remarks)]
+
+    @property
+    def norm_remark(self) -> str | None:
+        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        return self._judge.norm_remark
 
     def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.

@@ -52,6 +52,9 @@ _FOR = {
 }
 
 
+USBMON = "/dev/usbmon0"
+
+
 class CheckState(StrEnum):
     """The result of a check: OK, MISSING (mbtool works without it) or BROKEN (to be repaired)."""
 
@@ -92,8 +95,11 @@ def machine_checks(
     """
     yield python_check(sys.version_info[:3])
     yield from _packages()
-    yield from port_checks(list(ports))
+    here = list(ports)
+    yield from port_checks(here)
     yield from _port_group()
+    if sys.platform == "linux" and any(port.usb_id is not None for port in here):
+        yield usb_capture_check()
     yield _priority()
     yield capture_check(capture)
     yield wireshark_check(os.environ)
@@ -164,6 +170,20 @@ def _port_group() -> Iterator[MachineCheck]:
     remedy = "sudo usermod -aG dialout $USER, then log in again"
     found = "you are not in it, so most adapters do not open"
     yield MachineCheck("group dialout", CheckState.MISSING, found, remedy)
+
+
+def usb_capture_check(device: str = USBMON) -> MachineCheck:
+    """Check if the traffic of USB adapters can be captured, which hears a port that another program
+    has open. `device` is the file of usbmon for all buses.
+    """
+    name, pipe = "USB capture", "dumpcap -i usbmon0 -w - | mbtool decode -"
+    if os.access(device, os.R_OK):
+        return MachineCheck(name, CheckState.OK, f"{pipe} hears a port that a program has open")
+    if os.path.exists(device):
+        found = f"{device} may not be read, so that a port that a program has open is not heard"
+        return MachineCheck(name, CheckState.MISSING, found, f"sudo {pipe}")
+    found = "usbmon is not loaded; it hears a port that another program has open"
+    return MachineCheck(name, CheckState.MISSING, found, f"sudo modprobe usbmon; sudo {pipe}")
 
 
 def _priority() -> MachineCheck:

@@ -265,7 +265,12 @@ def _divided(
             of_rule[fits[0]].append((place, unit))
         else:
             left.append(place)
-    known = _listed([place for place, _, _ in slaves]) or "none"
+    if not slaves:
+        raise UsageError(
+            f"{path} has no transaction to play; for another port than {MODBUS_PORT} name it with "
+            "--port, or --port any"
+        )
+    known = _listed([place for place, _, _ in slaves])
     for index, rule in enumerate(rules):
         if not of_rule[index]:
             why = "each slave that it fits has a closer --on"

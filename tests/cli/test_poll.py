@@ -24,7 +24,7 @@ from tests.slave.scripted import Scripted
 from tests.workflows.bench import ANY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
@@ -94,6 +94,9 @@ class Hidden(Asker):
             raise given
         return given, []
 
+    def stop_when(self, is_stopped: Callable[[], bool]) -> None:
+        self.is_stopped = is_stopped
+
     def listen(self, time_ns: int) -> None:
         self.listened_ns += time_ns
 
@@ -116,8 +119,23 @@ def test_waits_for_a_pause_as_long_as_asked_once_there_was_one(
     asker, tally = polled([one, NO_PAUSE, NO_PAUSE, NO_PAUSE, one])
     told = capsys.readouterr()
     assert (tally.outcomes.total(), told.out.count("\n")) == (2, 2)
-    assert told.err.count("It waits until there is one\n") == 1
+    assert told.err.count("poll waits for a longer pause\n") == 1
     assert asker.listened_ns > 1e9
+
+
+def test_ctrl_c_ends_the_wait_for_a_pause() -> None:
+    interrupt = Interrupt()
+
+    class Asked(Hidden):
+        def ask(self, pdu: bytes) -> tuple[NamedTransaction, list[WireEvent]]:
+            interrupt.ask(signal.SIGINT, None)
+            assert self.is_stopped()
+            return super().ask(pdu)
+
+    with open_output(None, Format.JSONL, None, lambda _: None, condition(None)) as out:
+        asker, tally = Asked([NO_PAUSE]), PollTally()
+        Polling(asker, out, [b"\3\0\0\0\1"], None, tally, is_table=False).run(interrupt, 1, None)
+    assert not tally.outcomes
 
 
 def test_sends_nothing_where_no_pause_was_ever_long_enough() -> None:

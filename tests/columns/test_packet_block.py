@@ -10,6 +10,7 @@ from mbtool.columns import packet_block
 from mbtool.columns.packet_block import read_blocks
 from mbtool.core import CutError, InputError
 from mbtool.packets import read_capture
+from mbtool.packets.pcap import SEARCHED
 from mbtool.sources.files import open_capture
 from tests.columns.both_ways import NAME
 from tests.packets.building import Pcapng, Talk, pcap
@@ -93,6 +94,46 @@ def test_a_record_of_an_impossible_length_comes_behind_the_packets_before_it() -
     capture[24 + 8 : 24 + 12] = bytes.fromhex("00000500")
     assert "the next claims 327680 bytes" in in_blocks(bytes(capture))[1]
     assert key(in_blocks(bytes(capture))) == key(one_by_one(bytes(capture)))
+
+
+@pytest.mark.parametrize("magic", MAGICS, ids=hex)
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("at", [0, 7, 18, 19])
+def test_behind_a_damaged_record_reading_goes_on_at_the_next_one(
+    at: int, order: str, magic: int
+) -> None:
+    sent = packets(20)
+    file = bytearray(pcap(sent, order, magic=magic))
+    size = 24 if magic == 0xA1B2CD34 else 16
+    begin = 24 + sum(size + len(one.data) for one in sent[:at])
+    file[begin + 8 : begin + 12] = bytes.fromhex("7fffff7f")
+    found, error = in_blocks(bytes(file))
+    is_last = at == len(sent) - 1
+    assert [one.data for one in found] == [one.data for one in sent[:at] + sent[at + 1 :]]
+    passed = f"; {size + len(sent[at].data)} bytes were passed over up to the next record"
+    assert error.endswith(f"more than 262144{'' if is_last else passed}")
+    assert key((found, error)) == key(one_by_one(bytes(file)))
+
+
+def test_bytes_put_into_a_pcap_cost_no_packet_behind_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packet_block, "BLOCK_PACKETS", 3)
+    sent = packets(20)
+    whole, begin = pcap(sent), len(pcap(sent[:5]))
+    for size in (12, 15, 16, 17, 1000, 70_000):
+        file = whole[:begin] + b"\xff" * size + whole[begin:]
+        found, error = in_blocks(file)
+        assert [one.data for one in found] == [one.data for one in sent]
+        assert f"; {size} bytes were passed over" in error
+        assert key((found, error)) == key(one_by_one(file))
+
+
+def test_a_search_for_the_next_record_is_bounded() -> None:
+    sent = packets(20)
+    whole, begin = pcap(sent), len(pcap(sent[:5]))
+    file = whole[:begin] + b"\xff" * 2 * SEARCHED + whole[begin:]
+    found, error = in_blocks(file)
+    assert (len(found), error.endswith("more than 262144")) == (5, True)
+    assert key((found, error)) == key(one_by_one(file))
 
 
 def test_interfaces_of_a_pcapng_file_keep_their_names_and_types() -> None:

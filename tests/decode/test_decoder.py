@@ -812,6 +812,28 @@ def test_an_answer_of_another_unit_belongs_to_the_only_request_with_its_id(
     assert (Verdict.OTHER_UNIT in paired[-1].verdicts) == (outcomes == ["ok"])
 
 
+@pytest.mark.parametrize("ids_vary", [True, False])
+@pytest.mark.parametrize("has_handshake", [True, False])
+def test_a_slave_that_is_asked_as_255_and_answers_as_1_answers(
+    *, has_handshake: bool, ids_vary: bool
+) -> None:
+    talk = Talk()
+    packets = talk.handshake() if has_handshake else []
+    for number in range(4):
+        id_ = number if ids_vary else 7
+        packets += [
+            talk.request(mbap_adu(id_, 255, READ)),
+            talk.response(mbap_adu(id_, 1, VALUES)),
+        ]
+    outcomes = [one.outcome.value for one in _decoded(packets) if not isinstance(one, WireEvent)]
+    if has_handshake:
+        assert outcomes == ["ok"] * 4
+    elif ids_vary:  # The first response may be to a request before the capture.
+        assert sorted(outcomes) == ["not-captured"] * 2 + ["ok"] * 3
+    else:
+        assert set(outcomes) == {"not-captured"}
+
+
 @pytest.mark.parametrize("is_answered", [True, False])
 def test_a_first_message_with_another_protocol_id_does_not_discard_the_connection(
     is_answered: bool,

@@ -49,6 +49,8 @@ _PYMODBUS_LINE = {
     "another unit": "got exception 04",
     "a read as broadcast": "got exception 04",
 }
+_LOST_ONCE = ", and the right one when it was asked again"
+"""The end of a note: a busy machine loses a request of a serial line as well."""
 _NO_ANSWER = "expected 1 value, got no answer"
 _JOINED = {
     "a read behind an answer of another unit": _NO_ANSWER,
@@ -95,6 +97,7 @@ DEVIATIONS: dict[str, dict[str, str]] = {
         "length 1": "got 1 value",
         "length 0": "got 1 value",
         "length FFFF": "got 1 value",
+        "64 random bytes": "got exception 01 illegal function",
         "8 connections at once": "stays open, and a request on it got no answer",
     },
     "libmodbus-rtu": {
@@ -106,6 +109,7 @@ DEVIATIONS: dict[str, dict[str, str]] = {
     },
 }
 SOMETIMES = {
+    "modbus-tk-rtu": {"a frame torn in two"},
     "pymodbus-rtu": {"half a frame", "a frame torn in two", *_JOINED},
     "libmodbus-rtu": {"half a frame", "a frame torn in two", *_JOINED},
 }
@@ -153,7 +157,11 @@ def deviations(kind: str, folder: Path, *words: str) -> dict[str, str]:
             program.wait(10 * PATIENCE_S)
             rows = [json.loads(row) for row in program.printed.text.splitlines()]
     assert len(rows) > 90, program.said.text
-    return {row["name"]: row["problem"] for row in rows if row["result"] != "passed"}
+    return {
+        row["name"]: row["problem"]
+        for row in rows
+        if row["result"] != "passed" and not row["problem"].endswith(_LOST_ONCE)
+    }
 
 
 @pytest.mark.parametrize(
@@ -165,7 +173,8 @@ def deviations(kind: str, folder: Path, *words: str) -> dict[str, str]:
     ],
 )
 def test_each_known_deviation_is_named_and_no_other(tmp_path: Path, kind: str) -> None:
-    found = deviations(kind, tmp_path, "--timeout", "3")
+    # On a busy machine a slave answers late. Those that are silent in many cases would take long.
+    found = deviations(kind, tmp_path, "--timeout", "3" if kind in SLOW else "10")
     sometimes = SOMETIMES.get(kind, set())
     assert found.keys() - sometimes == DEVIATIONS[kind].keys() - sometimes
     for name, told in DEVIATIONS[kind].items():

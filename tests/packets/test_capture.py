@@ -228,7 +228,8 @@ def test_a_routing_header_of_ipv6_is_passed_over() -> None:
 )
 def test_damage_is_one_line_that_says_where(file: bytes, says: str) -> None:
     packets, error = _read(file)
-    assert packets == []
+    is_pcap = file.startswith(pcap([])[:4])  # Reading goes on behind the damaged record.
+    assert [one.number for one in packets] == [1, 2, 3, 4][: 4 * is_pcap]
     assert error is not None
     assert says in str(error)
     assert "after packet 0" in str(error)

@@ -13,10 +13,12 @@ from mbtool.core import (
     Connection,
     Direction,
     Endpoint,
+    EventKind,
     Origin,
     Packet,
     Stamp,
     StreamPlace,
+    WireEvent,
 )
 from mbtool.packets import CaptureHead, LinePacket, read_capture, reads_of
 from mbtool.packets.capture_writer import PcapngWriter, PcapWriter
@@ -27,8 +29,10 @@ from mbtool.packets.line_packets import (
     LineEnds,
     OpenReads,
     WireReads,
+    error_packet,
     line_datagram,
     rtac_packet,
+    serial_pieces,
     with_mbap,
 )
 
@@ -335,3 +339,22 @@ def test_reads_of_a_section_do_not_need_a_head_of_their_own() -> None:
     mark = WireReads(reads=[(1, 5)])
     file = _line_file((250, bytes(12) + b"a", mark))
     assert [one.data for one in _chunks(file + file)] == [b"a", b"a"]
+
+
+@pytest.mark.parametrize(
+    ("message", "read"),
+    [
+        ("a framing error", "a framing error"),
+        ("12 bytes with a parity error", "a parity error"),
+        ("parity or framing error at byte 41H", None),
+        ("the driver counts 3 parity errors, 1 framing error", None),
+        ("2 bytes lost", None),
+    ],
+)
+def test_only_an_event_of_one_error_becomes_a_packet(message: str, read: str | None) -> None:
+    event = WireEvent(ts_ns=5, link="a", kind=EventKind.LINE_ERROR, message=message)
+    packet = error_packet(event)
+    pieces = [] if packet is None else serial_pieces(packet)
+    assert [one.message for one in pieces if isinstance(one, WireEvent)] == [read][
+        : read is not None
+    ]

@@ -58,8 +58,24 @@ def test_checksums_are_right(master: str, slave: str, *, is_udp: bool) -> None:
 
 @pytest.mark.parametrize(
     ("master", "slave", "size"),
-    [("10.0.0.1", "plc.example", 1), ("10.0.0.1", "fd00::2", 1), ("10.0.0.1", "10.0.0.2", 1 << 16)],
+    [
+        ("10.0.0.1", "plc.example", 1),
+        ("10.0.0.1", "fd00::2", 1),
+        ("10.0.0.1", "10.0.0.2", 0xFFFF - 39),
+        ("10.0.0.1", "10.0.0.2", 1 << 16),
+    ],
 )
-def test_what_makes_no_packet_is_refused(master: str, slave: str, size: int) -> None:
+@pytest.mark.parametrize("is_udp", [False, True])
+def test_what_makes_no_packet_is_refused(
+    master: str, slave: str, size: int, *, is_udp: bool
+) -> None:
+    ends = connection(master, slave, is_udp=is_udp)
     with pytest.raises(ValueError, match=r"plc\.example|IPv6|do not fit"):
-        PacketMaker().packet(connection(master, slave), Direction.REQUEST, bytes(size), 0)
+        PacketMaker().packet(ends, Direction.REQUEST, bytes(size), 0)
+
+
+@pytest.mark.parametrize("is_udp", [False, True])
+def test_the_largest_packet_is_made(*, is_udp: bool) -> None:
+    ends = connection("10.0.0.1", "10.0.0.2", is_udp=is_udp)
+    made = PacketMaker().packet(ends, Direction.REQUEST, bytes(0xFFFF - 40), 0)
+    assert len(made.data) <= 0xFFFF

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.devices import Assignments
+from mbtool.devices import Assignment, Assignments, Who, load_profile
 from mbtool.ledger.account import Account
 from mbtool.ledger.answered_reads import AnsweredReads
 from mbtool.modbus.tables import Table
@@ -222,14 +222,19 @@ def test_arrays_and_single_records_give_the_same_troubles(tmp_path: Path) -> Non
     assert {one.code for one in judge.judgement().troubles} == {"VALUE-JUMPED", "VALUE-STUCK"}
 
 
-def checked(folder: Path, good: Sequence[Sequence[int]], now: Sequence[Sequence[int]]) -> list[str]:
+def checked(
+    folder: Path,
+    good: Sequence[Sequence[int]],
+    now: Sequence[Sequence[int]],
+    assignments: Assignments | None = None,
+) -> list[str]:
     """The codes of what is told of a capture, without a baseline and with one."""
     before, after = folder / "good.pcap", folder / "now.pcap"
     before.write_bytes(captured(good))
     after.write_bytes(captured(now, begin_s=100_000))
     told = []
     for baseline in ([], [str(before)]):
-        run = CheckRun([str(after)], ReadingOptions())
+        run = CheckRun([str(after)], ReadingOptions(assignments=assignments or Assignments()))
         if baseline:
             assert run.learn(baseline) == []
         list(run.findings())
@@ -261,21 +266,73 @@ def test_a_counter_may_stand_elsewhere_than_in_the_baseline(tmp_path: Path) -> N
     assert checked(tmp_path, [counter(7000), noise(2)], now) == ["", ""]
 
 
-def test_the_only_serial_line_of_two_recordings_is_one_line() -> None:
-    def read(at: int, link: str, *values: int) -> NamedTransaction:
-        at_ns = at * SECOND
-        return request(link=link, request_ns=at_ns, quantity=2, response_values=list(values),
-                       response_ns=at_ns + 1000)  # fmt: skip
+def read(at: int, link: str, *values: int) -> NamedTransaction:
+    at_ns = at * SECOND
+    return request(link=link, request_ns=at_ns, quantity=len(values), response_values=list(values),
+                   response_ns=at_ns + 1000)  # fmt: skip
 
+
+def judged(norms: dict[str, int], checked: dict[str, Sequence[int]], begin: int) -> ValueFaults:
+    """Judge lines by the lines of a baseline; numbers are seeds. Each line has two registers, and
+    the second one is noise.
+    """
     norm = ValueFaults(Assignments())
     norm.become_norm()
-    for at, pair in enumerate(zip(noise(1), noise(2), strict=True)):
-        norm.transaction(read(at, "good.csv", *pair))
+    for link, seed in norms.items():
+        for at, pair in enumerate(zip(noise(seed), noise(seed + 1), strict=True)):
+            norm.transaction(read(at, link, *pair))
     sense = ValueFaults(Assignments())
     sense.judge_by(norm)
-    for at, number in enumerate(noise(3)):
-        sense.transaction(read(100_000 + at, "ttyUSB0", 5003, number))
-    assert [one.code for one in sense.troubles(())] == ["VALUE-STUCK"]
+    for link, numbers in checked.items():
+        for at, pair in enumerate(zip(numbers, noise(9), strict=True)):
+            sense.transaction(read(begin + at, link, *pair))
+    return sense
+
+
+FROZEN = [5003] * ROWS
+
+
+def test_each_line_is_compared_with_the_line_of_the_baseline_that_has_its_requests() -> None:
+    def stuck(norms: dict[str, int], checked: dict[str, Sequence[int]]) -> set[str]:
+        return {one.link for one in judged(norms, checked, 100_000).troubles(())}
+
+    assert stuck({"good.csv": 1}, {"now.csv": FROZEN}) == {"now.csv"}
+    assert stuck({"good.csv": 1, "more.csv": 3}, {"now.csv": FROZEN}) == {"now.csv"}
+    assert stuck({"good.csv": 1}, {"a": FROZEN, "b": FROZEN}) == {"a", "b"}
+    assert stuck({"good.csv": 1}, {"b": FROZEN, "a": FROZEN}) == {"a", "b"}
+
+
+def test_a_baseline_with_the_times_of_the_capture_is_not_used_and_that_is_said() -> None:
+    jumped = [*noise(3)]
+    jumped[150] = 9000
+    sense = judged({"good.csv": 1}, {"now.csv": jumped}, begin=0)
+    assert [one.code for one in sense.troubles(())] == ["VALUE-JUMPED"]
+    assert "have the same times" in (sense.norm_remark or "")
+    assert judged({"good.csv": 1}, {"now.csv": jumped}, begin=100_000).norm_remark is None
+
+
+def test_a_baseline_without_the_requests_of_the_capture_is_said_to_be_unused() -> None:
+    norm = ValueFaults(Assignments())
+    norm.become_norm()
+    sense = ValueFaults(Assignments())
+    sense.judge_by(norm)
+    sense.transaction(read(0, "a", 1, 2))
+    assert "no request of the baseline" in (sense.norm_remark or "")
+
+
+def test_a_register_that_rests_at_the_end_of_the_baseline_is_well(tmp_path: Path) -> None:
+    good = noise(1)
+    good[-60:] = [4986] * 60
+    assert checked(tmp_path, [good, noise(2)], [noise(3), noise(4)]) == ["", ""]
+
+
+def test_what_was_outside_of_its_range_in_the_baseline_only_is_not_told(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(point(scale=0.1, maximum=60))
+    profile = Assignments([Assignment(Who(), load_profile(str(tmp_path / "own.toml")))])
+    good, bad = [noise(1, 515, 6), noise(2)], [noise(1, 515, 6), noise(2)]
+    good[0][150] = bad[0][100] = bad[0][120] = 900
+    assert checked(tmp_path, good, [noise(3, 515, 6), noise(2)], profile) == ["", ""]
+    assert checked(tmp_path, good, bad, profile) == ["VALUE-RANGE", "VALUE-RANGE"]
 
 
 class Words:

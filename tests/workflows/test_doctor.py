@@ -63,6 +63,19 @@ def test_an_obstacle_of_a_port_has_its_command(usb_id: str | None, state: CheckS
     assert (found.state, found.found, found.remedy) == (state, "its timer is 16 ms", "echo 1")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="usbmon is of Linux")
+def test_a_usb_port_says_how_its_traffic_can_be_captured(tmp_path: Path) -> None:
+    adapter = LocalSerialPort(device="/dev/ttyUSB0", usb_id="0403:6001")
+    assert "USB capture" in checks(adapter)
+    assert "USB capture" not in checks(LocalSerialPort(device="/dev/ttyS0"))
+    lacking = doctor.usb_capture_check(str(tmp_path / "usbmon0"))
+    assert lacking.state is CheckState.MISSING
+    assert lacking.remedy.startswith("sudo modprobe usbmon; sudo dumpcap ")
+    (tmp_path / "usbmon0").touch()
+    there = doctor.usb_capture_check(str(tmp_path / "usbmon0"))
+    assert (there.state, there.remedy) == (CheckState.OK, "")
+
+
 def test_a_port_without_an_obstacle_is_ready_as_its_link() -> None:
     found = checks(LocalSerialPort(device="/dev/ttyUSB0"))["port ttyUSB0"]
     assert found.found == "ready as rtu:/dev/ttyUSB0@19200-8E1"

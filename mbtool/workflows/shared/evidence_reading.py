@@ -10,7 +10,7 @@
 # frame is later found by its bytes (wire_streams.py).
 #
 # Memory: for each frame of a serial line or tap its bytes and its time; for each packet that a
-# transaction or finding is about, a number and a text.
+# transaction or finding is about, a number and a text; the first MAX_ERRORS events of the files.
 
 from __future__ import annotations
 
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
 
 _USUAL = (Outcome.OK, Outcome.EXCEPTION, Outcome.BROADCAST, Outcome.MALFORMED)
+
+MAX_ERRORS = 65_536
 
 
 @dataclass(slots=True)
@@ -81,7 +83,8 @@ class EvidenceMarks:
     items: int = 0
     """The number of packets and reads that were decoded."""
     errors: list[WireEvent] = field(default_factory=list)
-    """The events that the files themselves have, such as a framing error of a serial line."""
+    """The first MAX_ERRORS events that the files themselves have, such as a framing error or a gap
+    of a serial line."""
 
 
 class EvidenceReading(Reading):
@@ -135,7 +138,7 @@ class EvidenceReading(Reading):
             elif isinstance(item, Chunk):
                 yield self._placed(item)
             else:
-                if isinstance(item, WireEvent):
+                if isinstance(item, WireEvent) and len(self.marks.errors) < MAX_ERRORS:
                     self.marks.errors.append(item)
                 yield item
 

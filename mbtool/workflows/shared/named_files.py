@@ -5,8 +5,8 @@
 # or a file with the bytes of a serial line must be named by itself. A pattern stands for the files
 # that match it. The files of a folder or pattern are sorted by name, and numbers in names are
 # compared as numbers, so that site-2.pcap comes before site-10.pcap. If symbolic links give one
-# file several names in folders and patterns, it is taken once: under its own name if that is found,
-# otherwise under the name of a link.
+# file several names, it is taken once: under its own name if the same folder or pattern has it,
+# otherwise under the first name.
 
 from __future__ import annotations
 

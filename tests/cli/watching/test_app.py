@@ -205,7 +205,7 @@ def test_a_wrong_filter_says_where_and_leaves_the_rows_as_they_are() -> None:
             await seen.until(lambda: "there is no 'foo'" in seen.note)
             assert seen.note.index("^") == "unit == 2 and foo".index("foo")
             assert len(seen.rows) == 3
-            await seen.until(lambda: seen.lines[-2].endswith("number or text"))
+            await seen.until(lambda: seen.lines[-2].endswith("docs/filters.md"))
             await seen.press("enter")
             assert seen.app.prompt.has_focus
 
