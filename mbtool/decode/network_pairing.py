@@ -31,10 +31,10 @@
 # the only pending request if three conditions are met: the response fits the request; no earlier
 # request can still wait for its response, and the capture lacks no bytes; and this slave never
 # repeated an id correctly, or acknowledgements show that nothing came between the two. A slave may
-# also repeat the id and respond with another unit, as a module that ignores the unit does (asked as
-# FFH, it calls itself 1). Then the response belongs to the only pending request with the id, if no
-# missing bytes and no other ADU lie between. If the capture begins within the connection, this
-# holds once ids are known to vary.
+# also repeat the id and respond with another unit, as a module that ignores the unit does (it is
+# asked as unit FFH, and calls itself 1). Then the response belongs to the only pending request with
+# this id if no missing bytes and no other ADU lie between. If the capture begins within the
+# connection, ids must have varied before.
 #
 # A response without a request is unsolicited. But its outcome is not-captured if the capture lacked
 # bytes of requests in the TIMEOUT_NS before it, because its request may be among them. If the

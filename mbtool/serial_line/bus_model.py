@@ -367,8 +367,7 @@ class BusModel:
         capture are taken for a request and its response if the second comes within MIN_WRITE_NS.
         `start_ns` is the time at which the next frame began.
         """
-        state = self.state
-        if not self.history.timed or state.direction_known:
+        if not self.history.timed or (state := self.state).direction_known:
             return False
         pending, waited_ns = state.pending, start_ns - (state.last_ns or start_ns)
         if pending is None or pending.silence_before_ns is not None:
@@ -382,9 +381,10 @@ class BusModel:
         speaks, and no response of the unit has differed from its request. But two equal frames on a
         line with a single unit are taken for a request and its response.
         """
-        history, state = self.history, self.state
+        history = self.history
         if unit in history.answering or pdu[0] not in ECHOING:
             return False
+        state = self.state
         if history.shows_master_wait(start_ns - (state.last_ns or 0)):
             return False
         if state.pending is not None:
@@ -413,8 +413,11 @@ class BusModel:
         the frame comes MIN_RETRY_NS or more after the request, when some masters repeat it, but
         within 8 times (SLOW_DOUBLINGS) the longest response time of the line.
         """
-        history, pending = self.history, self.state.pending
-        if pending is None or not history.trusts_silences or history.timeout.is_known:
+        history = self.history
+        if not history.trusts_silences or history.timeout.is_known:
+            return False
+        pending = self.state.pending
+        if pending is None:
             return False
         waited_ns = start_ns - pending.awaited_from_ns
         if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):

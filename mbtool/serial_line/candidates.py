@@ -98,16 +98,22 @@ class DamagedCandidate(msgspec.Struct, gc=False):
     """The frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
 
 
+AHEAD = 12
+"""So many offsets are looked at together, as most are asked about one after the other."""
+
+
 class _RangeCount:
     """Counts the offsets in a range that have a property; looks at each once.
 
     `having` takes two offsets; it tells for each offset from the first up to the second if it has.
+    All offsets are below `limit`.
     """
 
-    __slots__ = ("_before", "_having")
+    __slots__ = ("_before", "_having", "_limit")
 
-    def __init__(self, having: Callable[[int, int], Iterable[bool]]) -> None:
+    def __init__(self, having: Callable[[int, int], Iterable[bool]], limit: int) -> None:
         self._having = having
+        self._limit = limit
         self._before = [0]
         """For each offset, the number of smaller offsets that have the property."""
 
@@ -116,10 +122,9 @@ class _RangeCount:
             return 0
         before = self._before
         if len(before) <= end:
-            begin, number = len(before) - 1, before[-1]
-            for has_it in self._having(begin, end):
-                number += has_it
-                before.append(number)
+            begin = len(before) - 1
+            ahead = min(max(end, begin + AHEAD), self._limit)
+            before += accumulate(self._having(begin, ahead), initial=before.pop())
         return before[end] - before[first]
 
 
@@ -152,12 +157,13 @@ class Candidates:
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
         self._all_frames = _RangeCount(
-            lambda first, end: frame_starts(window.data, first, end, roles)
+            lambda first, end: frame_starts(window.data, first, end, roles), self._end
         )
         self._frames_after_silence = _RangeCount(
             lambda first, end: [
                 window.silences[at] and self._begins_after_silence(at) for at in range(first, end)
-            ]
+            ],
+            self._end,
         )
         self._silences = [0, 0, *accumulate(window.silences[1:])]
         """For each offset, the number of bytes before it that directly follow a silence of t3.5."""

@@ -123,7 +123,7 @@ class FastPath:
             elif self._is_ordinary_response(unit, pdu, start_ns):
                 return size, FITTING_RESPONSE
         elif pdu[0] in ECHOING and (len(model.states) == 1 or self._is_long_loop(data, size)):
-            ordinary = self._ordinary_echo(model.state, unit, pdu, data)
+            ordinary = self._ordinary_echo(model.states[0][1], unit, pdu, data)
             if ordinary is not None:
                 return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)

@@ -12,6 +12,7 @@ Costs are in bits: the negative logarithm of a probability, to base 2.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import log2
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,9 @@ from mbtool.serial_line.line_statistics import LatencyStatistics
 if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
+REMEMBERED = 256
+"""The most frames for which it is remembered if they keep the limits of a request. In doubt, the
+same frame is asked about several times."""
 USUAL_TIMEOUT_NS = 200_000_000
 """Masters seldom wait less than this, in ns, for a response."""
 
@@ -177,10 +181,16 @@ def _new_request_cost(pdu: bytes) -> float:
 
     It is higher if the request breaks the standard's limits.
     """
-    request = parse_pdu(pdu, Direction.REQUEST)
-    if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
+    if pdu[0] in FUNCTIONS and _breaks_limits(pdu):
         return costs.NEW_REQUEST + costs.MALFORMED
     return costs.NEW_REQUEST
+
+
+@lru_cache(REMEMBERED)
+def _breaks_limits(pdu: bytes) -> bool:
+    """True if a frame has the form of a request, and asks for more than the standard allows."""
+    request = parse_pdu(pdu, Direction.REQUEST)
+    return request.problem is None and not keeps_limits(request)
 
 
 def _response_cost(
@@ -352,5 +362,4 @@ def _is_malformed_response(pending: PendingRequest, unit: int, pdu: bytes) -> bo
     is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0] and pdu[0] in FUNCTIONS
     if not is_of_request or pdu_length(pdu, Direction.RESPONSE) != len(pdu):
         return False
-    request = parse_pdu(pdu, Direction.REQUEST)
-    return request.problem is None and not keeps_limits(request)
+    return _breaks_limits(pdu)

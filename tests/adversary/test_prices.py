@@ -47,11 +47,11 @@ SERIAL = {
 """Each input of a serial line, with a size of about 8 KB; the most calls are taken at its
 beginning, until the line is known to be in doubt."""
 DEAR = {
-    "line: set points without echoes": 18,
+    "line: set points without echoes": 14,
     "line: one unknown function": 16,
     "line: pairs of an unknown function": 22,
-    "line: random functions": 16,
-    "line: heads before writes": 32,
+    "line: random functions": 12,
+    "line: heads before writes": 29,
 }
 """Inputs that cost more than MOST_TIMES."""
 NETWORK = [name for name, one in INPUTS.items() if one.basis == "ordinary"]

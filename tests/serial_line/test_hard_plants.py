@@ -10,6 +10,8 @@ from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.decode.connections import Bus
 from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
 from mbtool.modbus.adu import crc as _crc
+from tests.benchmarks.plants.catalog import record
+from tests.benchmarks.plants.delivery import Adapter, delivered
 from tests.feeding import Line
 
 if TYPE_CHECKING:
@@ -292,3 +294,24 @@ def test_equal_responses_where_only_slaves_are_heard_are_no_copies(timed: bool) 
         line.frame(rtu_adu(1, bytes.fromhex("03 02 00") + bytes([number])), 40 * MS)
     told = [one for one in heard(line.reads(), timed=timed) if isinstance(one, Adu)]
     assert len(told) == 18
+
+
+def test_due_frame_that_a_block_cuts_behind_a_stray_byte_is_waited_for() -> None:
+    """A line without bias: a stray byte and the first bytes of a request end a block."""
+    recording = record("bias", 3873541002, 100)
+    bus = Bus("line", recording.line)
+    reads = delivered(recording, Adapter.BURST_62)
+    decoded = [one for data, ts_ns in reads for one in bus.feed(data, ts_ns)]
+    told = [one for one in [*decoded, *bus.close()] if isinstance(one, Transaction)]
+    assert len(told) > 90
+    assert Outcome.UNSOLICITED not in {one.outcome for one in told}
+
+
+def test_silence_of_an_adapter_that_holds_bytes_back_shows_no_timeout() -> None:
+    """A second master asks unit 2 while unit 1 is asked, and the first request ends a block."""
+    other, told_by = rtu_adu(2, READ[1:-2]), rtu_adu(2, ANSWER[1:-2])
+    reads = [(READ + ANSWER, 260 * MS * (1 + number)) for number in range(2)]
+    now_ns = reads[-1][1] + 130 * MS
+    reads += [(READ, now_ns), (other + ANSWER + told_by, now_ns + 130 * MS)]
+    late = transactions(heard(reads), 0x03)[2]
+    assert (late.unit, late.confidence) == (1, 0.5)
