@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -177,5 +178,11 @@ class LogOptions(OptionGroup):
 
         assert self.write is not None
         if self.rotate is None:
-            return self.write
+            return place_of(self.write)
         return f"{next(iter(parts_of(Path(self.write))), self.write)} and those behind it"
+
+
+def place_of(log: str) -> str:
+    """Return where a log is that was written, for the user."""
+    is_there = os.path.lexists(log)
+    return log if is_there else f"{log}, which was removed or renamed while it was written"

@@ -68,6 +68,10 @@ def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
     A file of that name is replaced when the context ends, and stays if it ends by an error; with
     `in_place` it is overwritten at once. Raises UsageError if the file cannot be opened.
     """
+    if path is not None and is_old(path):
+        from mbtool.logs.creating import demand_unlocked
+
+        demand_unlocked(Path(path))
     if path is None:
         yield sys.stdout
     elif is_old(path) and not in_place:

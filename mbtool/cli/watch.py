@@ -147,6 +147,7 @@ def _watch_links(
     from collections import deque
 
     from mbtool.cli.listening import allowed_networks, found_settings, heard_ports, sniffer_of
+    from mbtool.cli.log_options import place_of
     from mbtool.cli.options import assignments
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import parse_link
@@ -205,7 +206,7 @@ def _watch_links(
             _show(feed, place, saver, write, where, _end(interrupt, duration), interrupt)
         finally:
             if write is not None:
-                say(f"log: {write}")
+                say(f"log: {place_of(write)}")
 
 
 def _watch_files(
@@ -263,7 +264,7 @@ def _show(
     from mbtool.cli.options import condition
     from mbtool.cli.talk import Interrupted, say
     from mbtool.cli.watching.app import WatchApp
-    from mbtool.cli.watching.terminal_output import terminal_output
+    from mbtool.cli.watching.terminal_output import accept_any_byte, terminal_output
 
     if where is not None:
         feed.watched.set_filter(condition(where))
@@ -274,6 +275,7 @@ def _show(
                 # SIGHUP does not come if the command has a session of its own.
                 is_asked_to_end=lambda: is_gone() or ends(),
             )  # fmt: skip
+            accept_any_byte()
             code = app.run()
             was_gone = is_gone()
     finally:
@@ -337,7 +339,10 @@ def restored_terminal() -> Iterator[None]:
         yield
         return
     descriptor = sys.stdin.fileno()
-    before = termios.tcgetattr(descriptor)
+    try:
+        before = termios.tcgetattr(descriptor)
+    except termios.error:
+        raise KeyboardInterrupt from None  # The terminal is gone already.
     try:
         yield
     except BaseException:

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 _MAX_CACHED = 4096
+_MAX_CACHED_POINTS = 65_536
 
 
 _WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
@@ -180,6 +181,8 @@ class _Vocabulary:
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         """The first address of each point in `_points`, in the same order."""
         self._cache: dict[tuple[object, ...], _Meaning] = {}
+        self._cached_points = 0
+        """The number of points of all results in `_cache`."""
         own = profile.last_unit if profile is not None else None
         self._last_unit = LAST_UNIT if own is None else own
         """The highest unit that a slave with this profile has on a serial line."""
@@ -327,9 +330,11 @@ class _Vocabulary:
         )
         meaning = self._cache.get(key)
         if meaning is None:
-            if len(self._cache) >= _MAX_CACHED:
+            if len(self._cache) >= _MAX_CACHED or self._cached_points >= _MAX_CACHED_POINTS:
                 self._cache.clear()
+                self._cached_points = 0
             meaning = self._cache[key] = self._find_meaning(transaction)
+            self._cached_points += len(meaning.read) + len(meaning.written)
         return meaning
 
     def _find_meaning(self, transaction: Transaction) -> _Meaning:
@@ -352,7 +357,9 @@ class _Vocabulary:
             return _Meaning(title, answer=answer, answer_texts=texts, findings=findings)
         writes = known.writes and function != READ_WRITE_REGISTERS
         reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
-        points = self._points_in(known.table, address, max(quantity or 1, 1), writing=writes)
+        # A slave refuses a request for more addresses than the function's limit.
+        count = min(max(quantity or 1, 1), known.limit)
+        points = self._points_in(known.table, address, count, writing=writes)
         if function == READ_WRITE_REGISTERS and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
             said = transaction.written_quantity

@@ -7,11 +7,13 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Annotated
 
 import msgspec
 
 from mbtool.core import Chunk, Connection, Direction, EventKind, Packet, Stamp, WireEvent
 from mbtool.devices import NamedTransaction
+from mbtool.modbus.transaction import Word
 
 LogItem = Chunk | Packet | NamedTransaction | WireEvent
 """The values that are written to a log and read back from it."""
@@ -26,8 +28,8 @@ class ChunkMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     direction: Direction | None = None
     stamp: Stamp | None = None
     connection: Connection | None = None
-    link_type: int | None = None
-    original_length: int | None = None
+    link_type: Word | None = None
+    original_length: Annotated[int, msgspec.Meta(ge=0, le=0xFFFFFFFF)] | None = None
 
     @classmethod
     def of(cls, item: Chunk | Packet) -> ChunkMessage:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import shlex
 import sys
 from pathlib import Path, PurePath
@@ -57,7 +58,7 @@ def create_log(
     capture = {
         "host": platform.node(),
         "system": platform.platform(),
-        "command": shlex.join(["mbtool", *sys.argv[1:]]),
+        "command": typed_command(),
         "clock": "the host's system clock at the start, plus the time that passed since, "
         "UTC nanoseconds, read right after each read",
     }
@@ -111,6 +112,12 @@ def check_log_path(path: str, *, overwrite: bool = False) -> None:
         raise UsageError(f"{path!r}: a log needs a file; name one, for example site.mcap")
     _check_suffix(path)
     check_path(Path(path), replace=overwrite)
+
+
+def typed_command() -> str:
+    """Return the command line of this program, without the passwords of URLs in it."""
+    command = shlex.join(["mbtool", *sys.argv[1:]])
+    return re.sub(r"(://[^/:@\s]*):[^/@\s]*@", r"\1:***@", command)
 
 
 def _check_suffix(path: str) -> None:

@@ -138,7 +138,7 @@ class PcapngWriter:
         if not self.knows(packet.link, packet.link_type):
             self.add_interface(packet.link, packet.link_type)
         index = self._interfaces[packet.link, packet.link_type]
-        high, low = divmod(packet.ts_ns, 1 << 32)
+        high, low = divmod(max(packet.ts_ns, 0), 1 << 32)
         data = packet.data
         sizes = len(data), packet.original_length
         options = b"".join(

@@ -16,7 +16,7 @@ from socketserver import TCPServer
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
-from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, ConnectionRate
+from mbtool.ports.tcp_listener import BACKLOG, THIS_MACHINE, AllowedPeers, ConnectionRate
 
 if TYPE_CHECKING:
     from socketserver import BaseServer
@@ -72,7 +72,7 @@ class MetricsServer:
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
-    _room = threading.BoundedSemaphore(MAX_FETCHING)
+    request_queue_size = BACKLOG
 
     def __init__(
         self,
@@ -86,6 +86,7 @@ class _Server(ThreadingHTTPServer):
         self._allowed = allowed
         self._name = name
         self._rate = ConnectionRate(allowed.limits.per_second)
+        self._room = threading.BoundedSemaphore(MAX_FETCHING)
         super().__init__(address, handler)
 
     def server_activate(self) -> None:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.wire_streams import WirePiece
 
 KEY_BYTES = 32
+MOST_KEY_BYTES = 65_536
 
 
 def read_key(path: str | None) -> bytes:
@@ -58,9 +59,12 @@ def read_key(path: str | None) -> bytes:
     if path is None:
         return secrets.token_bytes(KEY_BYTES)
     try:
-        key = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            key = file.read(MOST_KEY_BYTES + 1)
     except OSError as error:
         raise InputError(f"{path}: the key cannot be read: {error.strerror}") from error
+    if len(key) > MOST_KEY_BYTES:
+        raise UsageError(f"{path}: a key has at most {MOST_KEY_BYTES:,} bytes")
     if not key.strip():
         raise UsageError(f"{path}: empty; a key is any text that nobody can guess")
     return key

@@ -16,7 +16,6 @@ import os
 import platform
 import re
 import shlex
-import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -40,6 +39,7 @@ from mbtool.core.replacing import replacing
 from mbtool.devices import profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
+from mbtool.logs.opening import typed_command
 from mbtool.logs.reader import LogReader
 from mbtool.logs.writer import LogWriter
 from mbtool.packets import CaptureHead
@@ -362,7 +362,7 @@ class Conversion:
             capture |= {
                 "host": platform.node(),
                 "system": platform.platform(),
-                "command": shlex.join(["mbtool", *sys.argv[1:]]),
+                "command": typed_command(),
                 "made_from": shlex.join(path for group in self._groups for path in group.paths),
             }
         with LogWriter(place, capture=capture, replace=replace) as log:

@@ -209,6 +209,8 @@ def test_an_empty_key_is_refused(mbtool: CommandLine, tmp_path: Path) -> None:
         told = mbtool("convert", _capture("plant.pcap"), copy, "--anonymous", "--key", given)
         assert told.code != exit_codes.DONE
         assert problem in told.err
+    told = mbtool("convert", _capture("plant.pcap"), copy, "--anonymous", "--key", "/dev/zero")
+    assert "a key has at most 65,536 bytes" in told.err
     told = mbtool("convert", _capture("plant.pcap"), copy, "--units")
     assert told.code == exit_codes.USAGE
 

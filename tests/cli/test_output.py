@@ -16,6 +16,7 @@ from mbtool.cli.options import EventChoice
 from mbtool.cli.output import open_output
 from mbtool.cli.talk import Interrupted
 from mbtool.core import InputError
+from mbtool.logs.writer import LogWriter
 from tests.logs.samples import EVENT, transaction, write_log
 from tests.packets.building import packet, pcap
 
@@ -224,6 +225,15 @@ def test_a_file_that_was_there_is_replaced_only_with_overwrite(
     assert path.read_text() == "older"
     assert mbtool("decode", capture, "-o", path, "--overwrite").code == exit_codes.DONE
     assert path.read_text().startswith("request_ns,")
+
+
+def test_a_log_that_is_recorded_is_not_replaced(mbtool: CommandLine, capture: Path) -> None:
+    path = capture.with_name("live.mcap")
+    with LogWriter(path, capture={}):
+        told = mbtool("decode", capture, "-o", path, "--format", "jsonl", "--overwrite")
+        assert told.code == exit_codes.UNREADABLE
+        assert "another recorder is writing to it" in told.err
+    assert path.read_bytes().startswith(b"\x89MCAP")
 
 
 @pytest.mark.parametrize(

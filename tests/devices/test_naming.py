@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import FunctionRule, Point
-from mbtool.devices.naming import _MAX_CACHED, Namer
+from mbtool.devices.naming import _MAX_CACHED, _MAX_CACHED_POINTS, Namer
 from mbtool.devices.wording import describe, describe_points
 from mbtool.modbus.adu import Transport, Verdict, mbap_adu
 from mbtool.modbus.tables import Table
@@ -329,3 +329,13 @@ def test_an_exception_has_the_devices_name_for_it() -> None:
     refused = transaction(6, 205, quantity=1, exception=0x11, exception_name="exception 11H")
     assert _namer("chino-lt830").name(refused).exception_name == "value out of setting range"
     assert _namer("fa3-at1m8x").name(refused).exception_name != "value out of setting range"
+
+
+def test_what_is_kept_of_many_different_requests_is_bounded() -> None:
+    namer = _namer("fa3-at1m8x")
+    for address in range(3000):
+        namer.name(transaction(1, address, quantity=60_000, outcome=Outcome.EXCEPTION))
+        namer.name(transaction(2, address % 300, quantity=2000 - address // 300))
+    vocabulary = [*namer._vocabularies.values()][-1]
+    kept = sum(len(one.read) + len(one.written) for one in vocabulary._cache.values())
+    assert kept == vocabulary._cached_points < _MAX_CACHED_POINTS + 2000

@@ -149,3 +149,12 @@ def test_a_wrong_rotation_leaves_no_log(tmp_path: Path, rotation: str) -> None:
     with pytest.raises(UsageError, match="for example 100MB or 1h"):
         create_log(str(tmp_path / "a.mcap"), LINKS, DEVICES, rotation=Rotation.parse(rotation))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_keeps_the_command_without_the_password_of_a_url(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["mbtool", "sniff", "--mqtt", "mqtt://plant:secret@broker/a"])
+    create_log(str(tmp_path / "a.mcap"), LINKS[:1], Assignments()).close()
+    assert b"secret" not in (tmp_path / "a.mcap").read_bytes()
+    assert b"mqtt://plant:***@broker/a" in (tmp_path / "a.mcap").read_bytes()

@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -623,6 +624,27 @@ def test_an_impossible_number_costs_its_message_and_is_counted(
     assert event.kind is EventKind.UNREADABLE
     assert event.message.startswith("2 messages of the log left out, ")
     assert first in event.message
+
+
+PACKET = Packet(ts_ns=START_NS, link="eth0", data=b"\0", link_type=1, original_length=1)
+
+
+@pytest.mark.parametrize(
+    ("field", "number"), [("link_type", -1), ("link_type", 70_000), ("original_length", 1 << 40)]
+)
+def test_a_packet_with_an_impossible_number_is_left_out(
+    tmp_path: Path, field: str, number: int
+) -> None:
+    path = tmp_path / "x.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.write(PACKET)
+        message = {"ts_ns": START_NS, "link": "eth0", "data": "AA==", "link_type": 1, field: number}
+        topic = next(iter(log._topics.values()))
+        log._container.add_message(topic, START_NS, START_NS, msgspec.json.encode(message))
+    *items, event = read_log(path)
+    assert items == [PACKET]
+    assert isinstance(event, WireEvent)
+    assert f"{field} {number}" in event.message
 
 
 def test_an_impossible_number_in_a_message_that_nests_too_deep_is_counted(tmp_path: Path) -> None:

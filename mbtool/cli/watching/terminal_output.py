@@ -8,10 +8,12 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import select
 import sys
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import UsageError
@@ -21,6 +23,15 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 # The code below asks terminfo if the terminal can move its cursor and show colours.
+
+
+def accept_any_byte() -> None:
+    """Let a key that is no UTF-8 be an unknown key; textual would end the screen with an error."""
+    with suppress(ImportError):  # Windows has another driver.
+        from textual.drivers import linux_driver
+
+        decoder = codecs.getincrementaldecoder("utf-8")
+        linux_driver.getincrementaldecoder = lambda _: partial(decoder, "replace")  # type: ignore[attr-defined]
 
 
 class TerminalAbilities(NamedTuple):

@@ -54,20 +54,24 @@ def _found(path: str) -> list[str] | None:
     """Return the files of a folder or a pattern; None if `path` is neither."""
     if is_folder(path):
         found = [
-            os.path.join(folder, name)
-            for folder, _, names in os.walk(path)
+            file
+            for folder, _, names in os.walk(path, onerror=_refuse_folder)
             for name in names
-            if _CAPTURE.fullmatch(name)
+            if _CAPTURE.fullmatch(name) and os.path.isfile(file := os.path.join(folder, name))
         ]
         if not found:
             raise InputError(f"{path}: no capture in this folder: no .pcap, .pcapng, .cap, .mcap")
         return found
     if _WILD.search(path) and not os.path.lexists(path):
-        found = [one for one in glob.glob(path, recursive=True) if not is_folder(one)]
+        found = [one for one in glob.glob(path, recursive=True) if os.path.isfile(one)]
         if not found:
             raise InputError(f"{path}: no file fits this pattern")
         return found
     return None
+
+
+def _refuse_folder(error: OSError) -> None:
+    raise InputError(f"{error.filename}: the folder cannot be read: {error.strerror}") from error
 
 
 def _order(path: str) -> list[tuple[int, str]]:

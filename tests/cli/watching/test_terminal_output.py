@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli.watching.terminal_output import TerminalOutput
+from mbtool.cli.watching.terminal_output import TerminalOutput, accept_any_byte
 
 if sys.platform == "win32":
     pytest.skip("textual writes in another way there", allow_module_level=True)
 
 import fcntl
 import resource
+
+from textual.drivers import linux_driver
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,3 +46,8 @@ def test_a_descriptor_may_have_any_number() -> None:
         output.write("text")
     with os.fdopen(reading) as read:
         assert read.read() == "text"
+
+
+def test_a_key_that_is_no_utf_8_is_an_unknown_key() -> None:
+    accept_any_byte()
+    assert linux_driver.getincrementaldecoder("utf-8")().decode(b"a\xfcb") == "a\ufffdb"  # type: ignore[attr-defined]

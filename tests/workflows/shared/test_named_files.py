@@ -68,6 +68,15 @@ def test_a_file_with_several_names_is_taken_once_and_not_by_that_of_a_link(tmp_p
     assert named_files(["a.mcap", "a.mcap"]) == ["a.mcap", "a.mcap"]  # The reader refuses this.
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFO here")
+def test_a_fifo_in_a_folder_is_no_capture(tmp_path: Path) -> None:
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "1.mcap").write_bytes(b"")
+    os.mkfifo(tmp_path / "d" / "2.mcap")
+    first = os.path.join("d", "1.mcap")
+    assert named_files(["d"]) == named_files(["d/*.mcap"]) == [first]
+
+
 def test_several_names_are_taken_in_their_order() -> None:
     assert named_files(["b/c", "a.mcap"]) == [os.path.join("b/c", "x.pcapng"), "a.mcap"]
 
