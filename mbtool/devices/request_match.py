@@ -157,7 +157,7 @@ def _limit(profile: Profile, function: int, *, writes: bool) -> _Limit:
     if function == READ_WRITE_REGISTERS and writes:
         most = rule.write_limit or WRITE_LIMIT_17H
     else:
-        most = rule.limit or (0 if known is None else known.limit)
+        most = rule.limit or (1 if known is None else known.limit)
     return _Limit(most, f"its manual has function {function:02X}", f"its manual's limit is {most}")
 
 
