@@ -296,6 +296,9 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
     if cause.code == "LINE-SAME-UNIT" and other.code == "LINE-LATE":
         # Answers that collide behind the request of a dead unit are not its late ones.
         return other.sureness is Sureness.POSSIBLE
+    if cause.code == "LINE-TWO-MASTERS" and other.code in ("LINE-SETTINGS", "LINE-FOREIGN"):
+        # Masters that ask in step collide for seconds, always with the same bytes.
+        return cause.count >= MOSTLY * other.count
     if other.code not in cause.words.explains:
         return False
     if cause.victims and other.unit is not None:

@@ -13,7 +13,8 @@ A damaged frame is an event: a wrong CRC, or bytes that are no frame.
 # The request shows how many bytes the answer should have, and with which bytes it begins.
 #
 # LINE-TWO-MASTERS  Two requests at once: the damaged bytes begin like one known request and end
-#                   like another, and are longer than one request. Or a master sends a request while
+#                   like another, and are longer than one request; or the bytes of two known frames
+#                   are mixed, as where programs share a port. Or a master sends a request while
 #                   another one still waits: sooner than the unit usually answers, sooner than the
 #                   usual time-out, and with nothing on the line in between. Or the decoder reports
 #                   it (EventKind.TWO_MASTERS). Two exact poll periods alone prove nothing, as one
@@ -55,7 +56,7 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport, PollReport
@@ -242,6 +243,9 @@ class LineDamage(SortedSense):
     def _note_merged(self, line: _DamagedLine, event: WireEvent) -> None:
         """Note if an event has the bytes of two requests that were sent at once."""
         raw = event.raw
+        if len(raw) >= 2 * _SHORTEST_REQUEST and _are_woven(raw, line.requests):
+            line.merged += 1
+            keep(line.masters_cases, Evidence.of_event(event, "two frames at once"))
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
             return
         first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
@@ -542,6 +546,31 @@ def _request_of(raw: bytes, requests: Iterable[bytes]) -> bytes | None:
             if begin + _same(raw[::-1], one[::-1]) >= len(raw):
                 return one
     return None
+
+
+def _are_woven(raw: bytes, requests: Mapping[bytes, int]) -> bool:
+    """True if bytes hold a known request, in order but not in one piece, among the bytes of another
+    known request, or of the answer to one.
+    """
+    known = [one for one, times in requests.items() if times >= POLLED and one[1] in _READS]
+    woven = [one for one in known if one not in raw and _is_among(one, raw)]
+    if len(woven) != 1:
+        return len(woven) > 1
+    sizes = {len(woven[0]) + _answer_size(one) for one in known if one != woven[0]}
+    return len(raw) in sizes
+
+
+def _is_among(one: bytes, raw: bytes) -> bool:
+    """True if all bytes of `one` are in `raw` in their order, perhaps with others between them."""
+    rest = iter(raw)
+    return all(byte in rest for byte in one)
+
+
+def _answer_size(request: bytes) -> int:
+    """The size in bytes of the answer to a read over RTU."""
+    quantity = int.from_bytes(request[4:6])
+    values = 2 * quantity if request[1] in (3, 4) else (quantity + 7) // 8
+    return _AROUND_VALUES + values
 
 
 def _same(one: bytes, other: bytes) -> int:

@@ -66,7 +66,8 @@ _ROWS = (
         "their requests in turn",
         "line", "two masters",
         ("RTU-101", "RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401",
-         "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
+         "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW", "UNIT-MALFORMED", "LINE-LATE", *_BLAMED,
+         *_DAMAGED),
     ),
     Words(
         "LINE-SAME-UNIT", _E,

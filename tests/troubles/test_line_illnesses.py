@@ -165,6 +165,50 @@ def test_two_masters_are_told_by_their_collisions(timing: str) -> None:
     assert worst(told).cause.endswith("one asks unit 3 every 700 ms, the other unit 2 every 1.00 s")
 
 
+def mixed(frames: Sequence[Sent]) -> list[Sent]:
+    """The frames where two programs share a port: none of their bytes is damaged, but those that
+    are sent at the same time are mixed.
+    """
+    pieces: list[list[Sent]] = []
+    end_ns = 0
+    for one in sorted(frames, key=lambda one: one.at_ns):
+        if one.at_ns >= end_ns:
+            pieces.append([])
+            end_ns = one.at_ns
+        pieces[-1].append(one)
+        end_ns += len(one.data) * CHARACTER_NS
+    return [
+        Sent(
+            some[0].at_ns,
+            bytes(
+                byte
+                for _, byte in sorted(
+                    (
+                        (one.at_ns + at * CHARACTER_NS, byte)
+                        for one in some
+                        for at, byte in enumerate(one.data)
+                    ),
+                    key=lambda one: one[0],
+                )
+            ),
+        )
+        for some in pieces
+    ]
+
+
+@pytest.mark.parametrize(("cycles", "begin"), [((500, 700), 0), ((1000, 1300), 2), ((200, 330), 1)])
+def test_two_programs_that_share_a_port_are_two_masters(
+    cycles: tuple[int, int], begin: float
+) -> None:
+    one = Plant(units=(1, 2), latency={1: 3, 2: 3}, cycle=cycles[0], timeout=300)
+    other = Plant(
+        units=(2, 1), latency={1: 3, 2: 3}, cycle=cycles[1], timeout=300, begin=begin, seed=2,
+        quantity=6,
+    )  # fmt: skip
+    told = judged(mixed([*one.run(90), *other.run(90)]), EXACT)
+    assert serious(told) == ["LINE-TWO-MASTERS"]
+
+
 @every_timing
 def test_of_two_masters_is_told_which_asks_what(timing: str) -> None:
     one = Plant(units=(1, 2), latency={1: 8, 2: 12}, cycle=1000)
