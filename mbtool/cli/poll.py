@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _LEAST_NS = 1_000_000
 _MOST_NS = 365 * 86_400 * 10**9
 _LISTEN_NS = 1_000_000_000
-"""Where another master left no pause, it is heard for this time (ns) before the next attempt."""
+"""The time (ns) for which another master that left no pause is heard before the next attempt."""
 
 
 @with_option_groups

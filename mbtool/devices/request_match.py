@@ -139,14 +139,14 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
 
 
 class _Limit(NamedTuple):
-    """What a profile says of a function."""
+    """The greatest quantity of a function by a profile, with the reasons in words."""
 
     most: int
     """The largest quantity that it takes; 0 if the device does not have the function."""
     text: str
-    """That it has the function, or not."""
+    """The sentence that the device has the function, or has not."""
     text_beyond: str
-    """What it says of a larger quantity."""
+    """The reason for which a larger quantity is refused."""
 
 
 def _limit(profile: Profile, function: int, *, writes: bool) -> _Limit:

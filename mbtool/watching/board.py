@@ -151,7 +151,7 @@ class WatchedSlaveRow(NamedTuple):
     whole: WatchedSlaveRow | None
     """Under a filter, the row of the same unit for all records, by which it is judged."""
     troubles: tuple[Trouble, ...]
-    """What is wrong with the unit, the worst first."""
+    """The troubles of the unit, the worst first."""
 
 
 class TroubleRow(NamedTuple):

@@ -182,7 +182,7 @@ class KeptFiles:
             _check_code(code, "--keep-around")
         self._codes = tuple(codes)
         self._cases: dict[Key, tuple[int, int]] = {}
-        """How many cases each trouble had, and the number of the file with the last one."""
+        """By trouble, the number of its cases, and the number of the file with the last one."""
         self.log: RotatingLog | None = None
 
     def take(self, troubles: Sequence[Trouble]) -> None:

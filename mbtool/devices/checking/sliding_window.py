@@ -29,7 +29,7 @@ BEFORE = -1
 
 
 class Stays(Generic[K]):
-    """How long each entry of a bounded dictionary stays in it while keys are used in turn.
+    """The stays of the entries of a bounded dictionary while keys are used in turn.
 
     At the limit, the entry that was used least recently goes. A key has a new stay each time that
     it is used without having an entry. A stay is the list of the indices in `keys` at which its key
