@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,15 +16,240 @@ from typer.core import TyperGroup
 
 from mbtool.cli.command import Command, with_plain_json, write_examples
 from mbtool.cli.completion import items, profile_names
-from mbtool.cli.devices_import import import_
 from mbtool.cli.devices_own import draft, export, new, schema
 from mbtool.cli.option_groups import with_option_groups
-from mbtool.cli.options import ListFormat, SourceOptions
+from mbtool.cli.options import ListFormat, OverwriteOption, SourceOptions
+from mbtool.cli.profile_files import (
+    OutputOption,
+    demand_new,
+    give_imported,
+    profile_name,
+    read_input,
+    shown,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.devices.importing.options import ImportOptions
+    from mbtool.devices.importing.register_list import ImportedList
     from mbtool.workflows.shared.reading import ReadingOptions
+
+
+# mbtool devices import: make a profile from a register list or another register map.
+
+
+class AddressesChoice(StrEnum):
+    """The form of the addresses in a register list: from 0, from 1, references or hexadecimal."""
+
+    ZERO_BASED = "zero-based"
+    ONE_BASED = "one-based"
+    REFERENCES = "references"
+    HEXADECIMAL = "hexadecimal"
+
+
+class ScalingChoice(StrEnum):
+    """The use of the factors in a register list: registers are multiplied or divided by them."""
+
+    MULTIPLY = "multiply"
+    DIVIDE = "divide"
+
+
+class WordOrderChoice(StrEnum):
+    """The word that comes first in a value of several registers: the high or the low one."""
+
+    HIGH_FIRST = "high-first"
+    LOW_FIRST = "low-first"
+
+
+class TableChoice(StrEnum):
+    """The tables of Modbus, each by the first word of its name."""
+
+    COILS = "coils"
+    DISCRETE = "discrete"
+    HOLDING = "holding"
+    INPUT = "input"
+
+
+def import_(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE",
+            help="A register list: CSV with a row of headings; - is standard input. With --sunspec "
+            "one model or several, in their order in the device, or a folder, whose models are all "
+            "tried.",
+        ),
+    ],
+    output: OutputOption = None,
+    *,
+    overwrite: OverwriteOption = False,
+    sunspec: Annotated[
+        bool, typer.Option("--sunspec", help="FILE is a SunSpec model in JSON.")
+    ] = False,
+    home_assistant: Annotated[
+        bool, typer.Option("--home-assistant", help="FILE is a configuration of Home Assistant.")
+    ] = False,
+    base: Annotated[
+        int | None,
+        typer.Option(
+            "--base",
+            metavar="ADDRESS",
+            min=0,
+            max=65000,
+            help="SunSpec: where the map begins. [default: 40000]",
+        ),
+    ] = None,
+    repeat: Annotated[
+        int | None,
+        typer.Option(
+            "--repeat",
+            metavar="N",
+            min=0,
+            max=1000,
+            help="SunSpec: how often a group is there if the device tells it. [default: 1]",
+        ),
+    ] = None,
+    unit: Annotated[
+        int | None,
+        typer.Option(
+            "--unit", metavar="UNIT", min=0, max=255, help="Home Assistant: which unit's values."
+        ),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="MEANING=HEADING",
+            help="Which column holds what, as in address=Modbus-Adresse; may be repeated. "
+            "[default: guessed by the headings]",
+        ),
+    ] = None,
+    table: Annotated[
+        TableChoice | None,
+        typer.Option(help="The table of rows that name none. [default: holding]"),
+    ] = None,
+    addresses: Annotated[
+        AddressesChoice | None,
+        typer.Option(help="What the numbers of its addresses are. [default: guessed]"),
+    ] = None,
+    word_order: Annotated[
+        WordOrderChoice | None,
+        typer.Option(
+            help="Which register comes first in values that name no order. [default: high-first]"
+        ),
+    ] = None,
+    scaling: Annotated[
+        ScalingChoice | None,
+        typer.Option(help="What its factors are for. [default: guessed]"),
+    ] = None,
+    skip_bad: Annotated[
+        bool,
+        typer.Option("--skip-bad", help="Leave out rows that cannot be read, and tell them."),
+    ] = False,
+) -> None:
+    """Make a profile of a register list or another register map.
+
+    What you name is not guessed; each guess is told in a line. If rows of a list cannot be read,
+    each is told and no profile is made, unless you say --skip-bad.
+    """
+    from mbtool.core import UsageError
+    from mbtool.devices.importing.options import (
+        AddressStyle,
+        ImportOptions,
+        Scaling,
+        parse_columns,
+    )
+    from mbtool.devices.point_types import WordOrder
+    from mbtool.modbus.tables import Table
+
+    demand_new(output, overwrite=overwrite)
+    if sunspec and home_assistant:
+        raise UsageError("--sunspec and --home-assistant exclude each other")
+    for option, value, is_for in (
+        ("--base", base, sunspec), ("--repeat", repeat, sunspec), ("--unit", unit, home_assistant)
+    ):  # fmt: skip
+        if value is not None and not is_for:
+            form = "--home-assistant" if option == "--unit" else "--sunspec"
+            raise UsageError(f"{option} goes with {form}")
+    if len(files) > 1 and not sunspec:
+        raise UsageError(f"{files[1]}: only --sunspec takes several files; import one at a time")
+    if sunspec and len(files) == 1 and Path(files[0]).is_dir():
+        _try_all(files[0], output)
+        return
+    if sunspec:
+        made = _sunspec(files, output, 40000 if base is None else base, repeat)
+        give_imported(made, output, overwrite=overwrite)
+        return
+    if home_assistant:
+        made = _home_assistant(files[0], output, unit)
+        give_imported(made, output, overwrite=overwrite)
+        return
+    options = ImportOptions(
+        columns=parse_columns(column or ()),
+        addresses=AddressStyle(addresses) if addresses is not None else None,
+        table=next((one for one in Table if table and one.value.startswith(table)), None),
+        scaling=Scaling(scaling) if scaling is not None else None,
+        word_order=WordOrder(word_order) if word_order is not None else None,
+        skip_bad=skip_bad,
+    )
+    give_imported(_imported(files[0], output, options), output, overwrite=overwrite)
+
+
+def _imported(file: str, output: str | None, options: ImportOptions) -> ImportedList:
+    from mbtool.cli.talk import say
+    from mbtool.devices.importing.register_list import BadRowsError, import_register_list
+
+    try:
+        return import_register_list(
+            read_input(file), shown(file), options, profile_name(file, output)
+        )
+    except BadRowsError as wrong:
+        for line in wrong.lines:
+            say(line)
+        raise
+
+
+def _sunspec(
+    files: Sequence[str], output: str | None, base: int, repeat: int | None
+) -> ImportedList:
+    from mbtool.devices.importing.sunspec import import_sunspec
+
+    models = [(shown(file), read_input(file)) for file in files]
+    name = profile_name(files[0], output) or "sunspec"
+    count = 1 if repeat is None else repeat
+    return import_sunspec(models, name, base=base, repeat=count)
+
+
+def _try_all(folder: str, output: str | None) -> None:
+    """Try to import each SunSpec model of a folder, and print which ones cannot be imported.
+
+    No profile is written. Raises UsageError if --output is given (`output` not None), and if a
+    model cannot be imported.
+    """
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.workflows.shared.sunspec_devices import SunSpecFolder
+
+    if output is not None:
+        raise UsageError(
+            f"{folder}: all of its models are tried, and no profile is written; a device has only "
+            "some of them: name their files"
+        )
+    count, wrong = SunSpecFolder(folder).try_all()
+    for line in wrong:
+        say(line)
+    say(f"{folder}: {count} of {count + len(wrong)} models can be imported")
+    if wrong:
+        raise UsageError(f"{folder}: {len(wrong)} models cannot be imported")
+
+
+def _home_assistant(file: str, output: str | None, unit: int | None) -> ImportedList:
+    from mbtool.devices.importing.home_assistant import import_home_assistant
+
+    name = profile_name(file, output) or "home-assistant"
+    return import_home_assistant(read_input(file), shown(file), name, unit=unit)
+
 
 _SHOW = "show"
 
@@ -91,7 +318,7 @@ def _devices(
         if source != SourceOptions():
             raise UsageError("--port, --rtu-port and --link go with --match FILE")
         if context.invoked_subcommand is None:
-            _list(format_)
+            _print_list(format_)
         elif format_ != "table" and context.invoked_subcommand != _SHOW:
             raise UsageError("--format goes with the list of profiles, a NAME and --match FILE")
         else:
@@ -132,7 +359,7 @@ def _show_one(names: Sequence[str], format_: ListFormat) -> None:
         typer.echo(profile_to_json(profile))
 
 
-def _list(format_: ListFormat) -> None:
+def _print_list(format_: ListFormat) -> None:
     import json
 
     from mbtool.cli.console import PipeConsole

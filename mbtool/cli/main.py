@@ -13,27 +13,35 @@ from __future__ import annotations
 
 import errno
 import gc
+import inspect
 import os
+import shutil
 import signal
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
+from importlib import import_module
+from importlib.machinery import SourceFileLoader
 from io import TextIOWrapper
+from pathlib import Path
 from threading import Timer
-from typing import Annotated, Any
+from types import CodeType
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
-from typer.main import get_command
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command, get_group
 
 from mbtool.cli import exit_codes
-from mbtool.cli.command import with_plain_values
-from mbtool.cli.command_table import CommandTable
-from mbtool.cli.completion import is_asked, join_words
-from mbtool.cli.completion_setup import INSTALL, SHOW, install, show, with_shell
+from mbtool.cli.command import Command, with_plain_values
+from mbtool.cli.completion import COMPLETE, is_asked, join_words
 from mbtool.cli.examples import examples_of, first_steps
 from mbtool.cli.talk import Interrupted, say
-from mbtool.core import InputError, LinkError, MbtoolError, OutputError
+from mbtool.core import InputError, LinkError, MbtoolError, OutputError, UsageError
 from mbtool.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
 """The errno values with which the system refuses to write to a file that is already open."""
@@ -309,3 +317,143 @@ def _fail(message: str, code: int) -> int:
     """Print an error as one line; return `code`, the exit code."""
     say(f"mbtool: {' '.join(message.split())}", is_error=True)
     return code
+
+
+# The commands of mbtool by name; the module of a command is imported when it is looked up.
+#
+# Importing all commands takes as long as decoding a small file. So a command line imports only the
+# command that it names. The help of mbtool itself, which lists all, needs the docstrings of their
+# functions only; it takes these from the compiled modules, without running them.
+
+_MODULES = {
+    **{name: name for name in ("sniff", "status", "decode", "inventory", "check", "stats")},
+    **{name: name for name in ("watch", "report", "plot", "convert", "recover", "replay", "diff")},
+    "slave": "slave",
+    "read": "ask",
+    "write": "ask",
+    "poll": "poll",
+    "scan": "scan",
+    "test": "conformance",
+    "find": "find",
+    "devices": "devices",
+    **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
+}
+"""The module of this package that has a command's function, by command in the order of the help."""
+
+# Newer versions of Wireshark give options that mbtool does not know; they are ignored.
+# A negative number is no option of find.
+_CONTEXT_SETTINGS = {
+    "find": {"ignore_unknown_options": True},
+    "extcap": {"ignore_unknown_options": True, "allow_extra_args": True},
+}
+
+
+class CommandTable(Mapping[str, Any]):
+    """Maps the name of each command to its typer command, and loads it at the first look-up."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._loaded:
+            self._loaded[name] = _load(name, _MODULES[name])
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_MODULES)
+
+    def __len__(self) -> int:
+        return len(_MODULES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _MODULES
+
+    def listed(self) -> dict[str, Any]:
+        """Return commands that have the right names and help texts, but no options: enough for a
+        list of them.
+        """
+        found = {}
+        for name, module in _MODULES.items():
+            text = _docstring(name, module)
+            found[name] = self[name] if text is None else TyperCommand(name, help=text)
+        return found
+
+
+def _docstring(name: str, module: str) -> str | None:
+    """Return the docstring of the function of a command; None if it is none."""
+    full = f"{__package__}.{module}"
+    compiled = SourceFileLoader(full, str(Path(__file__).with_name(f"{module}.py"))).get_code(full)
+    for code in () if compiled is None else compiled.co_consts:
+        if isinstance(code, CodeType) and code.co_name == name and code.co_consts:
+            text = code.co_consts[0]
+            return inspect.cleandoc(text) if isinstance(text, str) else None
+    return None
+
+
+def _load(name: str, module: str) -> Any:
+    function = getattr(import_module(f"mbtool.cli.{module}"), name)
+    app = typer.Typer(rich_markup_mode=None)
+    if isinstance(function, typer.Typer):  # It has subcommands.
+        app.add_typer(function, name=name)
+    else:
+        app.command(name, cls=Command, context_settings=_CONTEXT_SETTINGS.get(name))(function)
+    return get_group(app).commands[name]
+
+
+# Prints or installs the script with which a shell completes: --install-completion [SHELL].
+#
+# The scripts are those of the library typer. Its own options take no SHELL where it can detect the
+# shell, and ignore the word behind them.
+
+INSTALL, SHOW = "--install-completion", "--show-completion"
+_PROGRAM = "mbtool"
+_THIS_SHELL = "this"
+_SHELLS = ("bash", "zsh", "fish", "powershell", "pwsh")
+
+
+def with_shell(args: Sequence[str]) -> list[str]:
+    """Put a word behind --install-completion and --show-completion if no SHELL stands there."""
+    made: list[str] = []
+    for at, one in enumerate(args):
+        made.append(one)
+        if one in (INSTALL, SHOW) and args[at + 1 : at + 2] in ([], ["-h"], ["--help"]):
+            made.append(_THIS_SHELL)
+    return made
+
+
+def install(shell: str | None) -> None:
+    if shell is None:
+        return
+    from typer._completion_shared import install as install_script
+
+    name = _named(INSTALL, shell)
+    if name in ("powershell", "pwsh") and shutil.which(name) is None:
+        raise UsageError(f"{INSTALL} {name}: there is no {name} on this machine")
+    _, path = install_script(shell=name, prog_name=_PROGRAM, complete_var=COMPLETE)
+    typer.echo(f"{path}: written; {name} completes mbtool in the next terminal")
+    raise typer.Exit
+
+
+def show(shell: str | None) -> None:
+    if shell is None:
+        return
+    from typer._completion_shared import get_completion_script
+
+    name = _named(SHOW, shell)
+    script = get_completion_script(prog_name=_PROGRAM, complete_var=COMPLETE, shell=name)
+    typer.echo(script)
+    raise typer.Exit
+
+
+def _named(option: str, shell: str) -> str:
+    """Return the name of the shell that the user named, or of the one in which mbtool runs.
+
+    Raises UsageError if completion is not known for that shell.
+    """
+    from typer._completion_shared import _get_shell_name
+
+    name = _get_shell_name() if shell == _THIS_SHELL else shell
+    if name not in _SHELLS:
+        which = "this shell is not known" if name is None else f"there is none for {name}"
+        raise UsageError(f"{option}: {which}; name one of {', '.join(_SHELLS)}")
+    return name

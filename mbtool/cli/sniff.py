@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
-from mbtool.cli.live_out_options import LiveOutOptions
 from mbtool.cli.log_options import LogOptions
-from mbtool.cli.modem_options import ModemOptions
-from mbtool.cli.option_groups import with_option_groups
+from mbtool.cli.option_groups import OptionGroup, with_option_groups
 from mbtool.cli.options import (
     AllowOption,
     DeviceOption,
@@ -31,16 +31,123 @@ from mbtool.cli.options import (
 from mbtool.cli.tls_options import TlsOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import Interrupt
-    from mbtool.core import SerialLink
+    from mbtool.core import LinkSpec, SerialLink
     from mbtool.devices import Assignments
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.live_out import LiveOut
     from mbtool.workflows.sniff import Sniffer
     from mbtool.workflows.stats import LiveStatistics
+
+# The options by which `sniff` tells other programs what it hears.
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOutOptions(OptionGroup):
+    """The options --mqtt, --metrics and --on."""
+
+    heading: ClassVar[str] = "Live out"
+
+    mqtt: Annotated[
+        str | None,
+        typer.Option(
+            "--mqtt",
+            metavar="URL",
+            help="Publish named values when they change: mqtt://HOST[:PORT][/PREFIX], mqtts:// "
+            "with TLS. Home Assistant finds them by itself.",
+        ),
+    ] = None
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            "--metrics",
+            metavar="HOST:PORT",
+            help="Serve counts, latencies and troubles for Prometheus; :9502 is 127.0.0.1:9502.",
+        ),
+    ] = None
+    on_trouble: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--on",
+            metavar="CODE=CMD",
+            help="Run a command of the shell when a trouble whose code begins so is first told: "
+            "'UNIT-MISSING=...'. Repeatable.",
+        ),
+    ] = None
+
+    def open(
+        self,
+        on_remark: Callable[[str], None],
+        allowed: AllowedPeers,
+        kept_codes: Sequence[str] = (),
+    ) -> LiveOut:
+        """Return what the options ask for, not yet entered.
+
+        `allowed` may fetch the metrics; `kept_codes` are the codes of --keep-around.
+
+        Raises UsageError for an option that is wrong, or a package that is missing.
+        """
+        from mbtool.core import UsageError
+        from mbtool.ports.metrics_server import MetricsServer, parse_place
+        from mbtool.ports.mqtt import Broker, MqttPublisher
+        from mbtool.workflows.live_out import LiveOut
+
+        commands = []
+        for text in self.on_trouble or ():
+            code, equals, line = text.partition("=")
+            if not equals or not code or not line.strip():
+                raise UsageError(f"--on {text}: write CODE=COMMAND, such as 'LINE-=logger ...'")
+            commands.append((code, line))
+        publisher = None
+        if self.mqtt is not None:
+            publisher = MqttPublisher(Broker.parse(self.mqtt), on_remark)
+        server = None if self.metrics is None else MetricsServer(parse_place(self.metrics), allowed)
+        return LiveOut(publisher, server, commands, on_remark, kept_codes)
+
+
+# The options for the modem lines DTR and RTS of serial ports.
+
+
+class LineChoice(StrEnum):
+    """The values of --dtr and --rts."""
+
+    KEEP = "keep"
+    OFF = "off"
+
+
+@dataclass(frozen=True, slots=True)
+class ModemOptions(OptionGroup):
+    """The options --dtr and --rts: the state of each when a serial port is opened to listen."""
+
+    dtr: Annotated[
+        LineChoice | None,
+        typer.Option(
+            "--dtr",
+            help="The kernel raises DTR when a serial port is opened, and drops it at the end. "
+            "off: drop it right after the opening; keep: do not drop it at the end.",
+        ),
+    ] = None
+    rts: Annotated[LineChoice | None, typer.Option("--rts", help="The same for RTS.")] = None
+
+    def on(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
+        """Return the links, with the chosen states of DTR and RTS in the serial lines.
+
+        Raises UsageError if states are chosen but no link is a serial line.
+        """
+        from mbtool.core import SerialLink, UsageError
+        from mbtool.core.serial_format import ModemLine, ModemLines
+
+        chosen = ModemLines(*(ModemLine(one or ModemLine.RAISED) for one in (self.dtr, self.rts)))
+        if chosen != ModemLines() and not any(isinstance(link, SerialLink) for link in links):
+            raise UsageError("--dtr and --rts are for serial lines; none of the links is one")
+        return [
+            replace(link, modem_lines=chosen) if isinstance(link, SerialLink) else link
+            for link in links
+        ]
 
 
 @with_option_groups

@@ -20,7 +20,6 @@ import numpy as np
 from msgspec import structs
 
 from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
-from mbtool.columns.block_values import BlockValues
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
 from mbtool.columns.plain_transactions import PlainObjects
@@ -34,7 +33,7 @@ from mbtool.devices.checking.quiet_run import (
     QuietRequest,
     QuietRun,
 )
-from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
+from mbtool.ledger.answered_reads import AnsweredReads, SlowRead, ValueChanges
 from mbtool.ledger.answered_run import ConnectionCounts
 from mbtool.modbus.functions import (
     GATEWAY_EXCEPTIONS,
@@ -54,6 +53,34 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Namer
     from mbtool.ledger.answered_run import AnsweredRun
+
+# Finds in a block of a capture when the registers and bits that a poll reads or writes changed.
+
+
+class BlockValues:
+    """The values that the reads or writes of one poll bring. Implements ReadValues."""
+
+    def __init__(self, rows: PlainRows, usual: UsualValues, places: Int64s) -> None:
+        self._rows = rows
+        self._usual = usual
+        self._places = places
+
+    def last(self) -> list[int]:
+        return self._usual.values_of(self._places[-1:])
+
+    def words(self) -> bytes:
+        return self._usual.response_values(self._places).numbers.tobytes()
+
+    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
+        values = self._usual.value_of(self._places, place)
+        has_changed = np.ones(len(values), np.bool_)
+        has_changed[1:] = values[1:] != values[:-1]
+        has_changed[0] = before is None or values[0] != before[place]
+        rows = self._places[has_changed]
+        return ValueChanges(
+            rows.tolist(), self._rows.response_ns[rows].tolist(), values[has_changed].tolist()
+        )
+
 
 _WRITES = [*WRITE_ONE - {0x16}, *WRITE_SEVERAL]
 _EVENT, _RECORD, _ROW = range(3)

@@ -7,29 +7,145 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from collections import deque
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
+from msgspec.structs import replace
+
+from mbtool.core import Direction, EventKind, Origin, SerialFormat, WireEvent
 from mbtool.core.moments import counted
-from mbtool.decode.bus_in_stream import begin_of_bus
 from mbtool.decode.network_pairing import NetworkPairing
 from mbtool.decode.pairing import Pairing
-from mbtool.decode.serial_origins import SerialOrigins
 from mbtool.decode.stream_progress import OTHER, AduPlace, StreamProgress
 from mbtool.decode.transactions import Ends
 from mbtool.framing.mbap import MbapSplitter
+from mbtool.framing.rtu_lengths import frame_size
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
-from mbtool.modbus.adu import Adu, Skipped
+from mbtool.modbus.adu import Adu, Skipped, crc
+from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.transaction import Transaction
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.bus_model import BusModel
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.core import Connection, StreamPlace
     from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace
+
+# Tells if one direction of an RTU connection carries both requests and responses of a whole line.
+#
+# Some serial servers and port redirectors send all that they hear on a line to whoever connects.
+#
+# The splitter of one direction skips the frames of the other direction. This direction carries a
+# whole line if the skipped bytes are whole frames of the other direction with correct CRCs, and if
+# one of them and the frame next to it are a request and its response. Two CRCs, unit, function and
+# length agree by chance less than once in 2^40 times.
+
+
+def begin_of_bus(
+    events: Sequence[Adu | Skipped], before: Adu | None, direction: Direction
+) -> int | None:
+    """Return the index of the first event from which on the bytes are a whole line; else None.
+
+    `events` are those of a splitter of `direction`, `before` the frame that preceded them, None if
+    there was none. The index is -1 if the line begins with `before`.
+    """
+    frames: list[Adu | Skipped | None] = [before, *events]
+    for at, (one, after) in enumerate(pairwise(frames)):
+        if direction is Direction.RESPONSE and isinstance(one, Skipped) and isinstance(after, Adu):
+            requests = _frames(one.raw, Direction.REQUEST)
+            if requests and _answers(requests[-1], after.raw):
+                return at - 1
+        if direction is Direction.REQUEST and isinstance(one, Adu) and isinstance(after, Skipped):
+            responses = _frames(after.raw, Direction.RESPONSE)
+            if responses and _answers(one.raw, responses[0]):
+                return at - 1
+    return None
+
+
+def _frames(raw: bytes, direction: Direction) -> list[bytes]:
+    """Return the frames of a direction that `raw` consists of; empty if it has other bytes, too."""
+    frames = []
+    while raw:
+        size = frame_size(raw, direction)
+        if not size or size > len(raw) or crc(raw[:size]) != 0:
+            return []
+        frames.append(raw[:size])
+        raw = raw[size:]
+    return frames
+
+
+def _answers(request: bytes, response: bytes) -> bool:
+    """True if a frame has the unit of a request and the form of its response."""
+    expected = ExpectedResponse.of(request[1:-2])
+    return expected is not None and request[0] == response[0] and expected.fits(response[1:-2])
+
+
+# Finds where the frames of a serial line stand in the file that holds its bytes.
+#
+# The raw bytes of a splitter's events, in order, are the bytes that the splitter was fed. So counts
+# of the bytes fed and of the bytes in events give the place of every frame. In a file of bytes this
+# is the offset of its first byte; in a file of packets, the packet with its last byte.
+#
+# Memory: one mark for each read that still has bytes in the splitter.
+
+
+class SerialOrigins:
+    """Counts the bytes into and out of a splitter, to find where each ADU stands in its file."""
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[int, int, StreamPlace | None]] = deque()
+        """For each read that still has bytes in the splitter: the number of bytes fed before the
+        read, the number fed up to its end, and its place in the file."""
+        self._fed = 0
+        self._given = 0
+
+    @property
+    def held(self) -> int:
+        """The number of reads of which the splitter still holds bytes."""
+        return len(self._marks)
+
+    def note(self, size: int, place: StreamPlace | None) -> None:
+        """Note that the splitter is fed `size` bytes, which stand at `place` in a capture file.
+
+        `place` is None if that is unknown.
+        """
+        if size:
+            self._marks.append((self._fed, self._fed + size, place))
+            self._fed += size
+
+    def added_to(self, events: list[Adu | Skipped]) -> list[Adu | Skipped]:
+        """Return the splitter's next events, with the origin of each ADU added."""
+        found: list[Adu | Skipped] = []
+        for event in events:
+            start, self._given = self._given, self._given + len(event.raw)
+            if isinstance(event, Adu):
+                found.append(replace(event, origin=self._origin(start, self._given - 1)))
+            else:
+                found.append(event)
+            while self._marks and self._marks[0][1] <= self._given:
+                self._marks.popleft()
+        return found
+
+    def _origin(self, first: int, last: int) -> Origin | None:
+        """Return where an ADU stands in its file; None if that is unknown.
+
+        `first` and `last` are the numbers of its bytes, counted from 0, among all bytes fed.
+        """
+        for begin, end, place in self._marks:
+            if place is None or place.origin is None:
+                continue
+            origin = place.origin
+            if not origin.packet and begin <= first < end:
+                return Origin(origin.file, 0, origin.addresses, place.position + first - begin)
+            if origin.packet and begin <= last < end:
+                return origin
+        return None
+
 
 Decoded = Adu | Transaction | WireEvent
 DISORDER = (

@@ -26,8 +26,14 @@ from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
 from mbtool.troubles.cases import Cases
 from mbtool.troubles.failed_shares import is_grave
-from mbtool.troubles.line_senses import line_senses
-from mbtool.troubles.network_senses import network_senses
+from mbtool.troubles.line_damage import LineDamage
+from mbtool.troubles.line_late import LateOnLine
+from mbtool.troubles.line_sides import HeardSides
+from mbtool.troubles.line_strays import StrayBytes
+from mbtool.troubles.net_gateway import Gateways
+from mbtool.troubles.net_hosts import Hosts
+from mbtool.troubles.net_lost import LossyPaths, LostConnections
+from mbtool.troubles.net_polls import NetworkPolls
 from mbtool.troubles.polling import polling_troubles
 from mbtool.troubles.trouble import MAX_OTHERS, Sureness, Trouble
 from mbtool.troubles.units import unit_troubles
@@ -45,6 +51,23 @@ if TYPE_CHECKING:
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
+    from mbtool.troubles.sense import Sense
+
+# The senses that find the troubles of a serial line.
+
+
+def line_senses(context: CaptureContext) -> list[Sense]:
+    """Return a sense of each kind; `context` has facts about the present capture."""
+    return [LateOnLine(), HeardSides(), LineDamage(), StrayBytes(context.line_of)]
+
+
+# The senses that find the troubles of a network.
+
+
+def network_senses(cases: Cases) -> list[Sense]:
+    """Return a sense of each kind; `cases` has the slow answers as evidence."""
+    return [NetworkPolls(cases), Gateways(), LostConnections(), LossyPaths(), Hosts()]
+
 
 Q = TypeVar("Q", bound="QuietRows")
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from mbtool.core.moments import counted, in_ms, percent
+from mbtool.core.moments import DAY_NS, counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
-from mbtool.ledger.request_tally import RequestTally
+from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
 from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
@@ -25,18 +25,169 @@ from mbtool.troubles.failed_shares import (
     never_answers,
     refused_share,
 )
-from mbtool.troubles.refusals import always_refused, joint_refusals
-from mbtool.troubles.slow_units import GRAVE_NS, are_many
-from mbtool.troubles.slower_units import slow_and_slower_units
+from mbtool.troubles.slow_units import ENOUGH_ANSWERS, GRAVE_NS, are_many, slow_units
 from mbtool.troubles.trouble import Trouble, moment_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Mapping
 
+    from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.ledger.time_bins import UnitBin
     from mbtool.troubles.cases import Cases
-    from mbtool.troubles.refusals import JointRefusals
-    from mbtool.troubles.slower_units import Slower
+
+
+# Judges the requests that units refuse: which ones, by how many units, and if in a scan.
+
+K = TypeVar("K")
+
+MANY_REFUSING = 4
+"""If at least this many units, and half of all, refuse requests, one trouble reports all: the
+requests are wrong, not the units."""
+SCAN = 20
+"""At least so many different requests, few of them sent twice, are called a scan."""
+ONCE = 0.9
+"""A scan sends at least this share (0 to 1) of its requests once."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointRefusals:
+    """Many units that refuse requests."""
+
+    units: int
+    of: int
+    """The number of all units."""
+    tally: RequestTally
+    """The counts of the units that refuse."""
+    scanned: int
+    """The number of different requests if they look like a scan, else 0."""
+    master: str
+    """The host that scans; empty if it is not known, or if there are several."""
+
+
+def joint_refusals(
+    refusing: Collection[K],
+    tallies: Mapping[K, RequestTally],
+    polls: Mapping[K, Sequence[PollStatistics]],
+) -> JointRefusals | None:
+    """Return the refusals of the units `refusing` as one trouble; None if these are not many.
+
+    `tallies` has the counts of all units, `polls` the polls of each that are still known.
+    """
+    if len(refusing) < MANY_REFUSING or len(refusing) * 2 < len(tallies):
+        return None
+    tally = merged([tallies[unit] for unit in refusing])
+    known = [poll for unit in refusing for poll in polls.get(unit, ())]
+    is_scan = are_all(known, tally) and len(known) >= max(SCAN, ONCE * tally.requests)
+    masters = {poll.key.master for poll in known}
+    return JointRefusals(
+        units=len(refusing),
+        of=len(tallies),
+        tally=tally,
+        scanned=len(known) if is_scan else 0,
+        master=masters.pop() if is_scan and len(masters) == 1 else "",
+    )
+
+
+def always_refused(polls: Sequence[PollStatistics], tally: RequestTally) -> list[PollStatistics]:
+    """Return the polls (repeated requests) that a unit refuses each time.
+
+    `tally` has the counts of the unit, `polls` those of its polls that are still known. The list is
+    empty if some are no longer known, if other refusals remain, or if the unit refuses all that it
+    is asked.
+    """
+    refused = [poll for poll in polls if poll.tally.count(Outcome.EXCEPTION)]
+    number = sum(poll.tally.transactions for poll in refused)
+    is_certain = number == tally.count(Outcome.EXCEPTION) and are_all(polls, tally)
+    return refused if is_certain and len(refused) < len(polls) else []
+
+
+def are_all(polls: Sequence[PollStatistics], tally: RequestTally) -> bool:
+    """False if some of the requests of `tally` are of polls that are no longer known."""
+    return sum(poll.tally.requests for poll in polls) >= tally.requests
+
+
+# Finds the units that became slower, and the time since when they are slower.
+
+
+SLOWER = 2
+"""A unit has become slower if its mean latency in the last quarter of its bins of time is at least
+this many times that in the first half, and at least SLOWER_NS more."""
+SLOWER_NS = 10_000_000
+_ENOUGH_BINS = 8
+"""A unit with answers in fewer bins than this is never said to have become slower."""
+
+
+class Slower(NamedTuple):
+    """The time from which a unit answers slower, and its mean latencies before and since."""
+
+    since_ns: int
+    """The time (UTC ns), exact to a bin."""
+    mean_ns: float
+    """The mean latency since then, in ns."""
+    before_ns: float
+    """The mean latency before, in ns."""
+    is_long: bool
+    """True if the unit was heard for a day or longer, so that times need a date."""
+
+    @property
+    def factor(self) -> float:
+        """The mean latency since then, divided by that before."""
+        return self.mean_ns / (self.before_ns or 1)
+
+
+def slow_and_slower_units(
+    latencies: Mapping[K, Distribution], times: Mapping[K, UnitAccount]
+) -> tuple[dict[K, float], dict[K, Slower]]:
+    """Return the units that always were slow, as slow_units does, and those that became slower.
+
+    `latencies` and `times` have the latencies and the times of the requests of each unit.
+    """
+    found = {unit: became_slower(one.bins.bins()) for unit, one in times.items()}
+    slower = {unit: one for unit, one in found.items() if one is not None and unit in latencies}
+    slow = slow_units(latencies)
+    return {unit: usual for unit, usual in slow.items() if unit not in slower}, slower
+
+
+def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
+    """Return since when a unit is slower (SLOWER); None if it is not, or not any more.
+
+    `bins` are the unit's, sorted by time.
+    """
+    bins = [one for one in bins if one.answered]
+    if len(bins) < _ENOUGH_BINS:
+        return None
+    half = len(bins) // 2
+    usual_ns, late_ns = _mean(bins[:half]), _mean(bins[-len(bins) // 4 :])
+    if late_ns < max(SLOWER * usual_ns, usual_ns + SLOWER_NS):
+        return None
+    middle_ns = (usual_ns + late_ns) / 2
+    fast = (at for at, one in enumerate(bins) if _mean([one]) < middle_ns)
+    first = max(fast, default=-1) + 1
+    since = bins[first:]
+    is_over = len(since) < len(bins) // 8  # The unit became fast again.
+    if not first or is_over or sum(one.answered for one in since) < ENOUGH_ANSWERS:
+        return None
+
+    def slow_ns(one: UnitBin) -> int:
+        """Return for how much of a bin the unit was slow, by the bin's mean."""
+        share = (_mean([one]) - usual_ns) / (late_ns - usual_ns)
+        return round(min(max(share, 0), 1) * (one.end_ns - one.begin_ns))
+
+    since_ns = since[0].end_ns - slow_ns(since[0])
+    if bins[first - 1].end_ns == since[0].begin_ns == since_ns:
+        since_ns -= slow_ns(bins[first - 1])
+    is_long = bins[-1].end_ns - bins[0].begin_ns >= DAY_NS
+    # Leave out the last bin before the slow ones, because the unit may have become slower in it.
+    # Leave out the second half of the recording, because it may have single late answers.
+    before = bins[: max(min(first - 1, half), 1)]
+    return Slower(since_ns, _mean(since), _mean(before), is_long)
+
+
+def _mean(bins: Sequence[UnitBin]) -> float:
+    """Return the mean latency in some bins, in ns."""
+    return sum(one.latency_ns for one in bins) / sum(one.answered for one in bins)
+
 
 _NAMED = 2
 """At most so many requests that a unit always refuses are named."""

@@ -25,6 +25,7 @@
 from __future__ import annotations
 
 import re
+import time
 from itertools import groupby
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -32,7 +33,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 from rich.text import Text
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.moments import SECOND_NS, host_of
+from mbtool.core.moments import SECOND_NS, clock_time, day, host_of
 from mbtool.modbus import Outcome
 from mbtool.views.cells import (
     ARROW,
@@ -43,9 +44,8 @@ from mbtool.views.cells import (
 )
 from mbtool.views.changed_points import ChangedPoints
 from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
-from mbtool.views.table_options import TableColumn, TableOptions
+from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.tables import RowForm, printable
-from mbtool.views.times import Times
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -56,6 +56,52 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
 
     Record = NamedTransaction | WireEvent
+
+# Writes the times of table rows: the time of day (UTC or local), or seconds since another row.
+
+
+class Times:
+    """Writes the time of each row; the rows must come in the order in which they are shown."""
+
+    def __init__(self, style: TimeStyle) -> None:
+        self._style = style
+        self._origin_ns: int | None = None
+
+    def text(self, ts_ns: int) -> str:
+        """Return the time of a row that starts at `ts_ns` (UTC ns), at least 12 characters.
+
+        Call this once for each row, in order.
+        """
+        match self._style:
+            case TimeStyle.UTC:
+                return clock_time(ts_ns)
+            case TimeStyle.LOCAL:
+                return clock_time(ts_ns + _offset_ns(ts_ns))
+        since_ns = ts_ns if self._origin_ns is None else self._origin_ns
+        if self._origin_ns is None or self._style is TimeStyle.DELTA:
+            self._origin_ns = ts_ns
+        return f"{(ts_ns - since_ns) / 1e9:+12.6f}"
+
+    def day_of(self, ts_ns: int) -> str:
+        """Return the day of a row that starts at `ts_ns` (UTC ns), with the time zone.
+
+        The text is "" if rows show seconds instead.
+        """
+        match self._style:
+            case TimeStyle.UTC:
+                return f"{day(ts_ns)} UTC"
+            case TimeStyle.LOCAL:
+                return f"{day(ts_ns + _offset_ns(ts_ns))} local time"
+        return ""
+
+
+def _offset_ns(ts_ns: int) -> int:
+    """Return local time minus UTC in ns at the time `ts_ns`; 0 if the system does not know it."""
+    try:
+        return time.localtime(ts_ns // 1_000_000_000).tm_gmtoff * 1_000_000_000
+    except (ValueError, OverflowError, OSError):
+        return 0
+
 
 T = TypeVar("T")
 
@@ -189,9 +235,9 @@ class TransactionTable:
         lines = [*map(" ".join, zip(*cells, texts, strict=True))]
         days = _each(self._times.day_of, [one // SECOND_NS * SECOND_NS for one in run.request_ns])
         begin = 0
-        for day, some in groupby(days):
+        for date, some in groupby(days):
             end = begin + len([*some])
-            self._print_heading(day)
+            self._print_heading(date)
             self._console.file.write("\n".join([*lines[begin:end], ""]))
             begin = end
 

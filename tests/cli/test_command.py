@@ -7,8 +7,8 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.cli.command import with_plain_json
-from mbtool.cli.command_table import CommandTable
 from mbtool.cli.devices import devices
+from mbtool.cli.main import CommandTable
 from tests.cli.test_stats import LINE
 
 if TYPE_CHECKING:

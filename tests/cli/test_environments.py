@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.cli.command_table import CommandTable
+from mbtool.cli.main import CommandTable
 from tests.cli.forked import ENVIRONMENTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="forks processes")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace as replace_adu
 
 from mbtool.core import Direction, EventKind, Origin, StreamPlace, WireEvent, parse_line
-from mbtool.decode.serial_origins import SerialOrigins
+from mbtool.decode.connections import SerialOrigins
 from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import pcap

@@ -8,8 +8,14 @@ import pytest
 from msgspec.structs import replace
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.decode.line_requests import MAX_OF_UNIT, MAX_OPEN
-from mbtool.decode.pairing import BUS_TIMEOUT_NS, EVEN, Pairing, waits_before_any_retry
+from mbtool.decode.pairing import (
+    BUS_TIMEOUT_NS,
+    EVEN,
+    MAX_OF_UNIT,
+    MAX_OPEN,
+    Pairing,
+    waits_before_any_retry,
+)
 from mbtool.decode.transactions import Ends
 from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction

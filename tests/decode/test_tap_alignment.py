@@ -6,7 +6,7 @@ import pytest
 
 from mbtool.core import Direction
 from mbtool.decode.pairing import BUS_TIMEOUT_NS
-from mbtool.decode.tap_alignment import (
+from mbtool.decode.tap_pair import (
     MAX_ALIGNED,
     SKEW_NS,
     TapRequest,

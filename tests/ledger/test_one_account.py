@@ -49,7 +49,7 @@ READERS = frozenset(
 """These add up counts of the account."""
 ALL_TOGETHER = frozenset(
     (
-        ("cli/decode_job.py", "run_job"),
+        ("cli/decode.py", "run_job"),
         ("cli/output.py", "RecordOutput"),
         ("cli/tally.py", "Tally"),
         ("columns/table_counts.py", "TransactionCounts"),

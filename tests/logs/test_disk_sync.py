@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import OutputError
-from mbtool.logs import FLUSH_AFTER_NS, LogWriter, disk_sync
+from mbtool.logs import FLUSH_AFTER_NS, LogWriter, complete_file
 from tests.logs.samples import chunk, stock_messages
 from tests.sources.live_helpers import PATIENCE_S
 
@@ -24,7 +24,7 @@ def test_a_log_grows_while_the_disk_syncs(tmp_path: Path, monkeypatch: pytest.Mo
         assert may_end.wait(PATIENCE_S)
 
     log = LogWriter(tmp_path / "a.mcap", capture={})
-    monkeypatch.setattr(disk_sync, "sync_data", sync)
+    monkeypatch.setattr(complete_file, "sync_data", sync)
     for number in range(1, 4):
         log.write(chunk())
         log.tick(2 * number * FLUSH_AFTER_NS)
@@ -40,7 +40,7 @@ def test_everything_is_synced_also_when_nothing_comes_behind_it(
 ) -> None:
     log = LogWriter(tmp_path / "a.mcap", capture={})
     requests: list[int] = []
-    monkeypatch.setattr(disk_sync.DiskSync, "request", lambda _self: requests.append(log.size))
+    monkeypatch.setattr(complete_file.DiskSync, "request", lambda _self: requests.append(log.size))
     for tenth in range(20):
         if tenth < 12:
             log.write(chunk())
@@ -57,7 +57,7 @@ def test_a_disk_that_refuses_to_sync_ends_the_recording(
         raise OSError(5, "Input/output error")
 
     log = LogWriter(tmp_path / "a.mcap", capture={})
-    monkeypatch.setattr(disk_sync, "sync_data", sync)
+    monkeypatch.setattr(complete_file, "sync_data", sync)
     log.write(chunk())
     log.tick(0)
     log.tick(FLUSH_AFTER_NS)

@@ -28,8 +28,7 @@ from mbtool.core import (
 from mbtool.devices import NamedTransaction
 from mbtool.logs import reader
 from mbtool.logs.layout import DATA_END_SIZE, FOOTER_SIZE, Opcode
-from mbtool.logs.message_decoder import BATCH
-from mbtool.logs.reader import LogReader, follow, read_log
+from mbtool.logs.reader import BATCH, LogReader, follow, read_log
 from mbtool.logs.writer import LogWriter
 from tests.logs.samples import (
     ONE_OF_EACH,

@@ -263,7 +263,7 @@ def all_programs() -> list[Program]:
         Repeated(
             "settings of watch",
             "mbtool/watch.json",
-            "from mbtool.cli.watching.watch_settings import WatchSettings, save_settings; "
+            "from mbtool.cli.watching.drawn_app import WatchSettings, save_settings; "
             "assert save_settings(WatchSettings(filters=[number])) is None",
         ),
         Repeated(

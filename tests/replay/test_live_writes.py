@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.modbus import Table
-from mbtool.replay.live_writes import LiveWrites, Place
+from mbtool.replay.player import LiveWrites, Place
 from mbtool.replay.recording import Recording
 from tests.replay.recorded import MS, answered
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.modbus.adu import crc, crc_on, rtu_adu
-from mbtool.serial_line.bit_repair import repaired
+from mbtool.serial_line.candidates import repaired
 
 pdus = st.binary(min_size=1, max_size=253)
 

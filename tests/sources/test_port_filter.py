@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mbtool.core import UsageError
 from mbtool.packets.segment import BEFORE_TCP, IPV6_FRAGMENT, find_tcp
 from mbtool.packets.tunnels import ERSPAN
-from mbtool.sources.port_filter import MAX_PORTS, drop_everything, port_filter
+from mbtool.sources.interface import MAX_PORTS, drop_everything, port_filter
 from tests.packets.building import gre, vxlan
 
 IPV4, IPV6, ARP = 0x0800, 0x86DD, 0x0806

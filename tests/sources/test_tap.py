@@ -28,10 +28,8 @@ from mbtool.core import (
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
 from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
-from mbtool.sources import relay
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.relay import _why
-from mbtool.sources.tap import TapSource
+from mbtool.sources.tap import TapSource, _why
 from tests.sources.live_helpers import PATIENCE_S, drain, start_program, take_until
 from tests.sources.tap_bench import ANY_PORT, Bench
 
@@ -500,7 +498,7 @@ def test_a_read_only_tap_ends_a_connection_of_bytes_that_are_no_requests(bench: 
 def test_a_flood_of_silent_connections_makes_room_for_a_master(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(relay, "SPARE_S", 0.0)
+    monkeypatch.setattr("mbtool.sources.tap.SPARE_S", 0.0)
     tap = bench.tap(max_connections=3)
     silent = [bench.call(tap) for _ in range(3)]
     slaves = [bench.accept() for _ in silent]
@@ -519,7 +517,7 @@ def test_a_flood_of_silent_connections_makes_room_for_a_master(
 def test_a_connection_that_was_answered_keeps_its_place(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(relay, "SPARE_S", 0.0)
+    monkeypatch.setattr("mbtool.sources.tap.SPARE_S", 0.0)
     tap = bench.tap(max_connections=1)
     master = bench.call(tap)
     slave = bench.accept()

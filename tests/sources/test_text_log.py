@@ -11,9 +11,8 @@ from mbtool.core import InputError, WireEvent
 from mbtool.modbus import rtu_adu
 from mbtool.sources.files import open_capture
 from mbtool.sources.text_frames import Label, TextFrames, whole_frames
-from mbtool.sources.text_log import MAY_BE_BYTES, may_be_bytes
+from mbtool.sources.text_log import MAY_BE_BYTES, SHAPE, may_be_bytes
 from mbtool.sources.text_marks import DateOrder, find_time, iso_ns
-from mbtool.sources.text_notations import SHAPE
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.ledger.time_bins import TimeBins
-from mbtool.troubles.slower_units import Slower, became_slower
+from mbtool.troubles.units import Slower, became_slower
 from tests.ledger.masters import MS, START_NS
 from tests.ledger.test_time_bins import add
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import Table
-from mbtool.values.doubts import IN_DOUBT
-from mbtool.values.judging import SURE, Judged, WordHistory, judge
+from mbtool.values.judging import IN_DOUBT, SURE, Judged, WordHistory, judge
 from mbtool.values.reasons import ValueRole
 from mbtool.values.word_readings import Order, WordReading
 from tests.adversary.values.generator import on_the_wire

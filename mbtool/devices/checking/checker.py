@@ -16,15 +16,13 @@ from typing import TYPE_CHECKING, TypeVar
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
-from mbtool.devices.checking.damaged_frames import DamagedFrames
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
 from mbtool.devices.checking.quiet_run import QuietRows
-from mbtool.devices.checking.responses import ResponseRules
+from mbtool.devices.checking.responses import DamagedFrames, ResponseRules, WagoRules, is_wago
 from mbtool.devices.checking.security import SecurityRules
 from mbtool.devices.checking.transactions import TransactionRules
-from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:

@@ -27,13 +27,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.finding import Finding, is_joined, transaction_finding
+from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
+from mbtool.devices.model import BehaviourName
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
-from mbtool.modbus.functions import DIAGNOSTICS, FORCE_LISTEN_ONLY
+from mbtool.modbus.functions import DIAGNOSTICS, FORCE_LISTEN_ONLY, ExceptionCode
 from mbtool.modbus.pdu import whole_pdu
+from mbtool.modbus.response import MAX_FRAMES, DamagedAnswers
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -360,3 +362,113 @@ def _request_bytes(transaction: NamedTransaction) -> bytes:
     """Return the PDU of the request; all bytes of the request if the PDU in them cannot be read."""
     raw = transaction.request_raw
     return whole_pdu(transaction.transport, raw) or raw or b""
+
+
+# Finds frames with a wrong CRC or LRC, and which unit sent them (RTU-201).
+#
+# The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
+# request that was pending when it came. This request is known when its transaction ends without a
+# response (modbus/response.py); until then the frame waits. On a serial line, the frame stops
+# waiting when a transaction begins after it: then it answers no request. On TCP it goes on waiting,
+# because a request without a response may end long after later requests (TIMEOUT_NS in
+# decode/network_pairing.py).
+#
+# Memory: at most MAX_FRAMES waiting frames for each of MAX_ENTRIES links (LruDict in
+# sliding_window.py).
+
+_SHOWN = 16
+"""At most so many bytes of a frame are shown."""
+
+
+class DamagedFrames:
+    """Gives a finding for each damaged frame, with the unit if it is known."""
+
+    def __init__(self) -> None:
+        self._answers = DamagedAnswers()
+        self._waiting: LruDict[str, deque[WireEvent]] = LruDict(deque)
+
+    def event(self, event: WireEvent) -> Iterator[Finding]:
+        """Take an event of the kind BAD_CHECK."""
+        self._answers.note(event)
+        if not self._waiting.has_room([event.link]):
+            yield from map(_of_no_unit, self._waiting.pop_oldest())
+        waiting = self._waiting[event.link]
+        waiting.append(event)
+        if len(waiting) > MAX_FRAMES:
+            yield _of_no_unit(waiting.popleft())
+
+    def transaction(self, one: NamedTransaction) -> Iterator[Finding]:
+        """Take the next transaction."""
+        if one.link not in self._waiting:
+            return
+        waiting = self._waiting[one.link]
+        frame_ns = self._answers.frame_of(one)
+        past_ns = one.start_ns if one.transport.is_serial else frame_ns or 0
+        while waiting and waiting[0].ts_ns < past_ns:
+            yield _of_no_unit(waiting.popleft())
+        if waiting and waiting[0].ts_ns == frame_ns:
+            event = waiting.popleft()
+            text = f"unit {one.unit}'s answer to {request_text(one)}: {_text(event)}"
+            yield transaction_finding("RTU-201", one, text, ts_ns=event.ts_ns)
+        if not waiting:
+            self._waiting.pop(one.link)
+
+    def close(self) -> Iterator[Finding]:
+        """Give the findings about frames that still wait at the end of the capture."""
+        for waiting in self._waiting.values():
+            yield from map(_of_no_unit, waiting)
+
+
+def _of_no_unit(event: WireEvent) -> Finding:
+    return event_finding("RTU-201", event, f"unit unknown: {_text(event)}")
+
+
+def _text(event: WireEvent) -> str:
+    shown = event.raw[:_SHOWN].hex(" ") + (" ..." if len(event.raw) > _SHOWN else "")
+    return f"{event.message}: {shown}"
+
+
+# The rule for WAGO 750 couplers: a watchdog that has expired.
+#
+# Manual of the WAGO-I/O-SYSTEM 750, watchdog registers (from 1000H on): once the watchdog has
+# expired, the coupler responds with exception 04 to every request until the watchdog is started
+# again. A single exception 04 between other responses is a failed request; two in a row mean that
+# the watchdog has expired.
+#
+# Memory: for each coupler, the first exception 04 in a row (LruDict in sliding_window.py).
+
+
+@dataclass(slots=True)
+class _Coupler:
+    first: NamedTransaction | None = None
+    """The first transaction with exception 04 since the coupler last gave another response; None
+    if there is none."""
+    is_reported: bool = False
+
+
+class WagoRules:
+    """Finds couplers whose watchdog has expired (finding WAGO-X1)."""
+
+    def __init__(self) -> None:
+        self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
+
+    def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
+        """Check the next transaction of a coupler. Gives WAGO-X1 if its watchdog has expired."""
+        coupler = self._couplers[transaction.destination or transaction.link]
+        if transaction.exception == ExceptionCode.SERVER_DEVICE_FAILURE:
+            if coupler.first is None:
+                coupler.first = transaction
+            elif not coupler.is_reported:
+                coupler.is_reported = True
+                yield transaction_finding(
+                    "WAGO-X1",
+                    coupler.first,
+                    f"exception 04 to {request_text(coupler.first)}, and to the request after it",
+                )
+        elif transaction.response_raw is not None:
+            coupler.first, coupler.is_reported = None, False
+
+
+def is_wago(profile: Profile) -> bool:
+    """True if the profile is that of a WAGO 750 coupler, or extends such a profile."""
+    return profile.behaviour is BehaviourName.WAGO

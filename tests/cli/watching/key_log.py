@@ -12,9 +12,7 @@ from textual.app import App
 from textual.binding import Binding
 from textual.widgets import OptionList
 
-from mbtool.cli.watching.app import WatchApp
-from mbtool.cli.watching.choices import ColumnChoice, SortChoice
-from mbtool.cli.watching.help_window import HelpWindow
+from mbtool.cli.watching.app import ColumnChoice, HelpWindow, SortChoice, WatchApp
 from mbtool.cli.watching.prompt import PromptLine
 from tests.cli.watching.screens import run
 

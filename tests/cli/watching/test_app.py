@@ -9,7 +9,7 @@ import pytest
 from textual.widgets import OptionList
 
 from mbtool.cli import exit_codes
-from mbtool.cli.watching.help_window import key_name
+from mbtool.cli.watching.app import key_name
 from mbtool.core import EventKind, OutputError, WireEvent
 from mbtool.devices import PointValue
 from mbtool.watching.value_formats import ValueFormat

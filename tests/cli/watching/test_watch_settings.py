@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mbtool.cli.watching.watch_settings import (
+from mbtool.cli.watching.drawn_app import (
     MAX_FILTERS,
     WatchSettings,
     load_settings,

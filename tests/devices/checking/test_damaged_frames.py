@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.damaged_frames import DamagedFrames
 from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.responses import DamagedFrames
 from mbtool.devices.checking.sliding_window import MAX_ENTRIES
 from mbtool.modbus.response import MAX_FRAMES
 from tests.devices.checking.talk import LINK, START_NS, event, line_event, transaction

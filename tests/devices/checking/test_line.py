@@ -7,8 +7,7 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.devices.checking.finding import Finding
-from mbtool.devices.checking.line import LineRules
-from mbtool.devices.checking.silences import MIN_TRANSACTIONS
+from mbtool.devices.checking.line import MIN_TRANSACTIONS, LineRules
 from mbtool.devices.checking.sliding_window import MAX_ENTRIES
 from mbtool.modbus.adu import Verdict
 from tests.devices.checking.talk import assigned, line_event, transaction

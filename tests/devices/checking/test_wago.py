@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.devices.checking.responses import WagoRules, is_wago
 from mbtool.devices.checking.sliding_window import MAX_ENTRIES
-from mbtool.devices.checking.wago import WagoRules, is_wago
 from mbtool.devices.loading import load_profile
 from tests.devices.checking.talk import transaction
 

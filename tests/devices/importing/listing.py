@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbtool.devices.importing.body import BodyReader
 from mbtool.devices.importing.columns import find_sheet
 from mbtool.devices.importing.locating import LocatedRow, locate_rows
 from mbtool.devices.importing.options import ImportOptions, ImportReport, Scaling
+from mbtool.devices.importing.register_list import BodyReader
 
 if TYPE_CHECKING:
     from mbtool.devices.importing.rows import ListRow

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.slave.device.signals import MAX_STEPS, Ramp, Signal, Sine, Steps, Walk
+from mbtool.slave.device.image_file import MAX_STEPS, Ramp, Signal, Sine, Steps, Walk
 
 if TYPE_CHECKING:
     from collections.abc import Callable

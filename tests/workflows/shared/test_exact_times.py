@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from mbtool.core import Chunk, SerialFormat
-from mbtool.workflows.shared.exact_times import ExactTimes
+from mbtool.workflows.shared.reading import ExactTimes
 
 LINE = SerialFormat(9600)
 
