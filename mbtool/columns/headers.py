@@ -39,6 +39,7 @@ _RAW_TYPES = {12: 0, 14: 0, 101: 0, 228: 0, 229: 0, 0: 4, 108: 4}
 """For each link type without EtherType, the offset of the IP header. 4 bytes with the address
 family come before it in the link types 0 and 108 (loopback)."""
 _FAMILY_AT = 4
+"""The size in bytes of the address family before the IP header in loopback packets."""
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
@@ -49,6 +50,7 @@ _UDP, _ICMPV6 = 17, 58
 _IPV6_SIZE = 40
 _VXLAN_PORT = 4789
 _MAX_TAGS = 2
+"""The most VLAN tags that are skipped in a packet."""
 
 _IPV4_HEADER = np.dtype(
     [

@@ -40,8 +40,10 @@ if TYPE_CHECKING:
     from mbtool.columns.usual_values import ValueLists
 
 MAX_LINES = 65_536
+"""If there are more templates than this, all are forgotten before the next block."""
 FEW = 4
-"""A template is made if a group has at least so many rows in a block."""
+"""A template is made for a group that has at least this many rows in a block; the lines of smaller
+groups are made one by one, which is faster."""
 
 _TEXTS = ("link", "source", "destination")
 _NUMBERS = ("transaction_id", "response_ns", "latency_ns", "request_packet", "response_packet")

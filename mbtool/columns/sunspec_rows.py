@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
 MAX_SLAVES = 1024
+"""At most this many slaves with a SunSpec map are remembered; the reads of further ones are not
+found."""
 
 _MARK = MARK[0] << 16 | MARK[1]
 _MARK_BYTES = _MARK.to_bytes(4)

@@ -51,8 +51,8 @@ VALUE_SCHEMA = pa.schema(
 new columns come last."""
 
 _SLICE = 4_096
-"""So many transactions are turned into values at once, which bounds the memory: they have about
-500,000 values if each reads 125 registers."""
+"""The values of this many transactions are put into a table at one time, which bounds the memory:
+they have about 500,000 values if each reads 125 registers."""
 _EFFECTIVE = pa.array([Outcome.OK.value, Outcome.LATE.value, Outcome.BROADCAST.value])
 _MASK_WRITE, _BOTH = 0x16, 0x17
 _WRITING = [code for code, one in FUNCTIONS.items() if one.writes and code != _BOTH]

@@ -138,6 +138,8 @@ def _parts(data: bytes) -> tuple[Transport, int, bytes, Checksum] | None:
 
 
 MAX_FOREIGN_REPORTED = 4096
+"""At most this many endpoints that do not use Modbus are reported, each once; bytes of further ones
+are not reported."""
 
 _EVERY_PORT = range(1 << 16)
 _DROPPED = (
@@ -146,7 +148,8 @@ _DROPPED = (
 _UNSEEN_ENDS = frozenset((CloseReason.CAPTURE_END, CloseReason.DISCARDED))
 """Reasons for which the decoder stops following a connection that may still be open."""
 _LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
-"""Kinds of events that say that bytes of a link are missing. A serial line is then begun anew."""
+"""Kinds of events for missing bytes of a link. After such an event, the decoding of a serial line
+begins anew."""
 
 Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent

@@ -98,16 +98,18 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 TIMEOUT_NS = 60_000_000_000
-"""A request without a response is closed after this time, in ns. No master waits so long, so a late
+"""A request that got no response within this time (ns) is closed. Masters wait less, so that a late
 response is still paired with its request."""
 MAX_HELD = 32
-"""The most responses held back until something decides which request they answer."""
+"""At most this many responses of a connection wait until a later ADU shows which requests they
+answer."""
 HOLD_NS = 3_000_000_000
 """The longest time, in ns, that a response is held back because it may answer one of several
 requests. A user who watches a live capture sees its transaction later by up to this time."""
 MAX_LOST_REQUESTS = 32
-"""The most requests that are supposed to be in one run of lost bytes."""
+"""A run of lost bytes is taken for at most this many requests."""
 MANY_LOSSES = 2
+"""The number of losses within NEAR_REQUESTS requests from which on pairs are doubtful."""
 NEAR_REQUESTS = 32
 """Losses whose number of requests or responses is not known make the later pairs doubtful if the
 capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. For a single such loss, its
@@ -115,17 +117,21 @@ length is enough evidence: in simulated plants, no pair is wrong if every twenti
 If every fifth is lost, 0.05 % of the pairs that are not doubtful are wrong (0.3 % with
 MANY_LOSSES = 3)."""
 ONE_REQUEST = 16
-"""Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
+"""A run of fewer lost bytes than this is taken for one request: the shortest request has 8 bytes,
+two have 16."""
 RECENT_WAITS = 16
+"""The number of last waits of a master for a request without a response that are kept."""
 ENOUGH_WAITS = 3
+"""The number of about equal waits (EVEN) from which on they count as the master's time-out."""
 EVEN = 0.15
-"""The master has a time-out if ENOUGH_WAITS of its last RECENT_WAITS waits differ by at most this
-share (0 to 1)."""
+"""Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
+RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
 _USUAL_REQUEST = 12
-"""Bytes of a read request's ADU. The number of lost requests is estimated as if all were reads."""
+"""The size in bytes of the ADU of a read request. The number of lost requests is the number of lost
+bytes divided by this."""
 
 
 class NetworkPairing:

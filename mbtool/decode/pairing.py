@@ -63,29 +63,35 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
-"""A request without a response is given up after this time, in ns. No master waits so long, so a
+"""A request that got no response within this time (ns) is given up. Masters wait less, so that a
 late response is still paired with its request."""
 ENOUGH_OVERTAKEN = 3
 """The line has two masters if this many of the last RECENT_REQUESTS requests were overtaken by
 another request and then answered. With one master, a response comes after the next request only if
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
+"""The number of last requests among which ENOUGH_OVERTAKEN must be overtaken and then answered."""
 EVEN = 0.5
-"""The confidence (0 to 1) of each of two explanations that are equally likely."""
+"""The confidence (0 to 1) of a transaction whose response may as well belong to another request of
+the unit."""
 EQUAL = 0.8
-"""Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
+"""The waits before requests count as one time-out if the shortest is at least this share (0 to 1)
+of the longest. Then there is one master, and late responses do not prove two."""
 MAX_HELD = 4
-"""The most responses of one unit that are held back."""
+"""At most this many responses of one unit wait until a later frame shows which requests they
+answer."""
 LEAST_DAMAGED = 4
-"""The number of bytes that belong to no frame from which on they may be a damaged request."""
+"""Bytes in no frame are taken for a damaged request if at least this many stand in a row; the next
+response may then be the answer to it."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"
 )
 
 APART = 0.25
-"""Two responses of a unit are two answers if the second comes later than the first by at least this
-share (0 to 1) of the time that the first took; a repeated frame comes sooner."""
+"""Two responses of a unit answer two requests if the second begins later than the end of the first
+by at least this share (0 to 1) of the time that the first took. A second copy of the same response
+comes sooner."""
 
 
 class _HeldChain(NamedTuple):
@@ -98,8 +104,8 @@ class _HeldChain(NamedTuple):
 
     @property
     def until_ns(self) -> int:
-        """If the unit sends no other response until this time (ns), each response stays with its
-        own request.
+        """The time (ns) from which on, if the unit sent no other response, each response is paired
+        with its own request.
         """
         return min(
             self.responses[-1].end_ns + 2 * self._taken_ns,
@@ -108,7 +114,9 @@ class _HeldChain(NamedTuple):
 
     @property
     def apart_ns(self) -> int:
-        """The unit's next answer comes at least so long (ns) after its last one."""
+        """The least time (ns) from the end of the unit's last response to its response to another
+        request; a copy of the last response comes sooner.
+        """
         return int(APART * self._taken_ns)
 
     @property
@@ -491,15 +499,19 @@ def _may_echo(pending: Adu, request: Adu) -> bool:
 # Memory: MAX_OPEN requests, and one record of times for each of at most 247 units.
 
 MAX_OF_UNIT = 4
-"""The most open requests of one unit."""
+"""At most this many requests of one unit stay open; a further one closes the oldest without a
+response. A unit that left more in a row unanswered counts as switched off."""
 MAX_OPEN = 32
-"""The most open requests of one line."""
+"""At most this many requests of one line stay open; a further one closes the oldest without a
+response."""
 ENOUGH_TIMES = 3
-"""The times of a unit are known once it has sent so many responses in time."""
+"""The response times of a unit are compared with new ones once this many responses came in time."""
 BLOCK_NS = 16_000_000
-"""FTDI adapters deliver every 16 ms (in ns) by default."""
+"""The time (ns) by which an adapter may deliver bytes late: FTDI adapters deliver every 16 ms by
+default. A response is called too early for its request only by more than this."""
 UNUSUAL = 2
-"""A response may take this many times as long as the slowest one of its unit so far."""
+"""A response is too late for its request if it takes more than this many times as long as the
+slowest response of its unit so far."""
 
 
 class OpenLineRequest(NamedTuple):

@@ -86,14 +86,17 @@ MAX_LATE = 4
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
 MAX_LOST_RUNS = 16
-"""About so many guesses are tried as to which requests' responses the missing bytes were. The
-guesses with the earliest requests come first, as a slave answers in order. More would cost time in
-a connection that is not Modbus."""
+"""For lost bytes of responses, about this many choices of the requests that they answered are
+tried, those with the earliest requests first, as a slave answers in order. More would take too long
+in a connection that is not Modbus."""
 MAX_READINGS = 20
+"""At most this many readings (ways to pair) are kept, the cheapest ones."""
 MAX_PASSED = 64
+"""At most this many given-up requests of a reading can still get a late response; older ones are
+closed."""
 MAX_NUMBERS = 1024
-"""If more numbers of requests are remembered, those of closed requests are forgotten. At most 320
-requests are open, so that this is done rarely."""
+"""If a reading remembers the numbers of more requests than this, those of closed requests are
+forgotten. At most 320 requests are open, so that this is done rarely."""
 MAX_LOST_RESPONSES = 8
 """Lost bytes are taken for at most this many responses. This limits the number of combinations of
 response lengths that are tried."""

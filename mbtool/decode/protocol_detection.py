@@ -106,16 +106,24 @@ def begins_tls_record(head: bytes) -> bool:
 
 
 ENOUGH_ADUS = 3
+"""A connection is taken for Modbus after this many well-formed ADUs in a row."""
 MAX_MALFORMED = 3
+"""A connection is taken for another protocol after this many malformed ADUs."""
 MAX_UNDECIDED_BYTES = 2048
+"""A connection is taken for another protocol after this many bytes without a decision."""
 GAP_BYTES = 64
+"""A gap in a stream counts as this many bytes towards MAX_UNDECIDED_BYTES."""
 MAX_NOISE = MAX_RTU_ADU
+"""Where RTU over TCP is not expected, it is excluded after this many bytes of one direction without
+a frame."""
 MAX_MBAP_NOISE = 520
-"""Bytes of a direction without an ADU after which unexpected Modbus/TCP is ruled out: the rests of
-two ADUs whose beginnings the capture lacks."""
+"""Where Modbus/TCP is not expected, it is excluded after this many bytes of one direction without
+an ADU. That is room for the rests of two ADUs whose beginnings the capture lacks."""
 MAX_HELD_EVENTS = 8
+"""At most this many events of an undecided connection are kept."""
 MAX_SLAVES = 65536
-"""So many slaves are remembered; of further ones the first is forgotten."""
+"""The endpoints of at most this many slaves are remembered; a further one makes the oldest be
+forgotten."""
 
 _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept per direction: the longest RTU frame and one more.
 

@@ -51,7 +51,11 @@ if TYPE_CHECKING:
     from mbtool.packets.usb import UsbTransfer
 
 MAX_DEVICES = 64
+"""At most this many USB devices are followed; a further one makes the one that was silent longest
+be forgotten."""
 MAX_SETUPS = 64
+"""At most this many control transfers wait for their completion; beyond it, the oldest is
+forgotten."""
 
 _ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}[0-9A-Fa-f:\r\n]*")
 _USUAL_BAUDS = (
@@ -60,8 +64,8 @@ _USUAL_BAUDS = (
     2000000, 3000000,
 )  # fmt: skip
 _NEAR = 0.03
-"""A divisor's rate is taken as a usual baud rate if they differ by at most 3 %, as two UARTs may
-differ by no more."""
+"""The rate of a divisor is shown as a usual baud rate if they differ by at most this share
+(0 to 1): two UARTs may differ by no more."""
 _PARITIES = ("N", "O", "E", "N", "N")
 """The parities in the order of CDC, FTDI and CP210x. Mark and space are read as none."""
 _SETUP = struct.Struct("<BBHHH")
@@ -91,6 +95,7 @@ _FTDI_ERRORS = (
     (0x10, "a break"),
 )
 _PACKET_SIZES = (64, 512)
+"""The sizes in bytes of the packets of an FTDI adapter at USB full speed and at high speed."""
 
 
 @dataclass(slots=True)

@@ -28,14 +28,19 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 _REFUSALS = (2, 3, 4)
+"""The exception codes by which a slave refuses a range of addresses."""
 _WAITS = 3.0
-"""A master waits between cycles if that pause is longer than so many of the others, and more than
-_LEAST_WAIT_NS."""
+"""A master is said to wait between its cycles if the pause before a cycle is longer than this many
+times the median pause between the requests of the cycle, and longer than _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
+"""The least pause (ns) before a cycle that counts as a wait of the master."""
 _BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
+"""The baud rates for which a shorter cycle is forecast, if they are above the line's own."""
 _MOST_BAUDS = 2
+"""A forecast names at most this many higher baud rates."""
 _SURE = 2.5
-"""A time for each register is taken as measured from so many standard errors on."""
+"""The measured time for each further register is used if it exceeds the time of its bytes on the
+line by more than this many standard errors; else the difference may be chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,9 +308,9 @@ def _predicted(
 
 
 def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
-    """The time (ns) that one register or bit more takes, by least squares; at least `least`.
+    """Return the time (ns) that one register or bit more takes, by least squares.
 
-    `least` is returned as well if what is more may be chance: less than SURE standard errors.
+    Return `least` if the result is smaller, or exceeds it by at most _SURE standard errors.
     """
     counts = [count for count, _ in points]
     if len(points) < 3 or len(set(counts)) < 2:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.time_bins import Row
 
 MAX_MACS = 4
+"""The most MAC addresses that are kept of a unit or a master."""
 _NEVER_NS = -(1 << 64)
 """A time before all others."""
 

@@ -72,16 +72,16 @@ _POLL_S = 0.001
 """The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
 for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
-"""The longest wait in ns for a pause of another master."""
+"""A request that waits for a pause of another master fails after this time (ns)."""
 _LONGEST_LATER_TURN_NS = 180_000_000_000
-"""The same once a request was sent in a pause. Then there are long pauses, and a short one that was
-heard since, such as that before a request out of turn, is soon forgotten."""
+"""As LONGEST_TURN_NS, once a request was sent in a pause: then long pauses come, but a short one,
+such as before a request that the other master sent out of turn, may hide them for a while."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
 MOST_TIMES = 3
-"""A busy machine makes the wait for a response at most so many times as long."""
+"""On a busy machine, the wait for a response takes at most this many times as long as it should."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -732,7 +732,8 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # If this process had to wait for a processor, bytes may have come after the wait was over.
+        # If other processes held the processor, the wait took longer than `wait_ns`, and the bytes
+        # may have come at any time from `at_ns` to `now_ns`.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

@@ -67,7 +67,7 @@ class Heard(NamedTuple):
 
     raw: bytes
     adus: tuple[HeardAdu, ...]
-    """The ADUs in `raw`; fewer than sent if bytes are no ADU."""
+    """The ADUs in `raw`; bytes that are no ADU are not among them."""
     after_ns: int
     """The time from the last byte sent to the first byte that came back, in ns."""
     is_closed: bool = False

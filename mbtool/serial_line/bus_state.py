@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 DOUBT_BITS = 6.0
-"""An explanation that costs so many bits more than the best one is true once in 65 times. It raises
-no doubt about the best one."""
+"""An explanation that costs at least this many bits more than the best one is ignored: it is true
+once in 65 times."""
 MAX_PENDING_NS = 1_000_000_000
 """A request is pending for at most this time, in ns; after that the master may send again. Serial
 Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""

@@ -51,10 +51,11 @@ _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
 _LOOP = 5
-"""So many equal frames behind the first one are a loop of one request, not its retries."""
+"""At least this many equal frames behind the first one are a request that the master repeats in a
+loop, and not retries."""
 _LONG_RUN = 24
-"""From so many equal frames in a row on, the number of those that follow does not matter. It is at
-most as many frames as the window keeps undecided."""
+"""If at least this many equal frames follow each other, the number of those behind them is not
+counted. It is at most the number of frames that the window keeps undecided."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more is left to the
 search, unless by its form it can only be a request."""

@@ -21,7 +21,8 @@ MAX_REQUESTS = 1024
 forgotten."""
 
 KNOWN_HEAD = 4
-"""So many bytes tell a request that was heard before: unit, function and address."""
+"""The least number of bytes (unit, function and address) by which the beginning of a frame is
+compared with the requests heard before."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""

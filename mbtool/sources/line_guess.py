@@ -54,7 +54,8 @@ of a frame."""
 _PAIR_NS = 5_000_000_000
 """A request and its response alone are enough if nothing follows for this time, in ns."""
 _LONGER = 1.5
-"""A setting hears nothing if nothing comes for so many times the longest silence before."""
+"""A setting is given up if no byte comes for this many times the longest silence between bursts so
+far, and for at least LISTEN_S."""
 _TOLD_NS = 5_000_000_000
 """The user is told how far the search is at most this often, in ns."""
 
@@ -161,7 +162,7 @@ class _Listener:
     def listen(self, heard_as: SerialFormat, trial: SettingsTrial, most_s: float = 0) -> bool:
         """Read the port with the setting `heard_as`, and let `trial` judge the bytes.
 
-        With `most_s`, listen at most so many seconds. Returns False if the setting cannot be
+        With `most_s`, listen for at most `most_s` seconds. Returns False if the setting cannot be
         applied to the port.
         """
         try:

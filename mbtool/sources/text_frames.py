@@ -220,7 +220,8 @@ class TextFrames:
         self._has_marked = False
         """True once an RTU frame had a direction by a word or arrow."""
         self._missed = 0
-        """The number of runs of bytes without a frame before the log was known."""
+        """The number of places with bytes but no frame, counted until the log is known to have
+        Modbus frames."""
         self._bare_request: _FoundFrame | None = None
         """The last request that was shown without a frame, with the CRC that it would have."""
         self._begun: TextFrame | None = None

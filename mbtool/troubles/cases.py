@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
+"""Cases are kept for at most this many units; further ones are ignored."""
 SLOW_NS = 10_000_000
-"""Answers that took less than this (ns) are not kept."""
+"""Answers that took less than this (ns) are not kept as cases."""
 SLOWEST = 20
+"""The number of slowest answers that are kept of each poll."""
 _OUTCOMES = {
     "UNIT-SILENT": Outcome.NO_ANSWER,
     "UNIT-BAD-CRC": Outcome.NO_ANSWER,

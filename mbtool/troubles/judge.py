@@ -72,14 +72,17 @@ def network_senses(cases: Cases) -> list[Sense]:
 Q = TypeVar("Q", bound="QuietRows")
 
 JOINED = 3
-"""The same trouble of at least so many units, links or masters is reported as one."""
+"""Troubles with the same code are shown as one if at least this many units, links or masters have
+it."""
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
-"""A trouble of a unit, or a small one, explains another one if it has at least this share of its
-cases."""
+"""The trouble of one unit, or a small one, is the cause of another trouble only if it has at least
+this share (0 to 1) of the other's cases."""
 PIECES = 4
-"""Bytes that are no frame come in at most so many pieces a case, as adapters tear them."""
+"""Adapters tear the bytes of one damaged frame into several pieces. So the trouble of a unit is the
+cause of bytes that are no frame (RTU-201, RTU-202) if these are at most this many times as many as
+its cases."""
 CHANCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""

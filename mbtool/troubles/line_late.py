@@ -40,24 +40,38 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
-"""Fewer late answers of a unit than this are a note."""
+"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers are called late
+only if there are at least this many."""
 FEW = 0.01
-"""Late answers to a smaller share (0 to 1) of the requests than this are a note."""
+"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than
+this."""
 SHORTEST_TIMEOUT_NS = 100_000_000
-"""No master gives a request up sooner (ns); what comes sooner is of another master, or the
-recording lacks the answer."""
+"""A request that comes less than this (ns) after one without an answer did not follow a time-out:
+another master sent it, or the recording lacks the answer."""
 MAX_UNITS = 500
+"""Late answers are kept for at most this many units, of all links together."""
 TIMES = 200
+"""The last times (ns) of each kind that are kept of a unit."""
 RECENT = 64
+"""The times (ns) of at most this many last requests, and as many damaged frames, are kept of each
+line."""
 PACE = 1.1
-"""A master that waits for a time-out waits at least this many times as long as for answers."""
+"""A master has waited for its time-out if its wait (ns) is at least this many times its median time
+from an answered request to the next one."""
 OFTEN = 0.5
+"""A share (0 to 1). A unit without late answers is blamed for damage only if at least this share of
+its wakes (the times after its unanswered requests) has damage, and its wakes are at most this share
+of the recording. On a line with at least this many damaged frames for each late or missing answer,
+damage explains these unless the master waited for them."""
 MOSTLY = 0.8
+"""A unit that never answers in time is blamed for damage only if in at least this share (0 to 1) of
+its wakes a request to another unit failed, too."""
 ITS_OWN = 0.7
-"""A unit's late answers damage frames if at least this share (0 to 1) of the damage is in its
-wakes."""
+"""Damage on a line is blamed on a unit's late answers only if at least this share (0 to 1) of it
+follows requests to this unit that were not answered in time."""
 NEAR = 0.85
-"""Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
+"""Missing answers of a unit are called late if the 95th percentile of its latencies is at least
+this share (0 to 1) of the master's time-out."""
 
 
 @dataclass(slots=True)
@@ -74,8 +88,9 @@ class _LateUnit:
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
     wakes: int = 0
+    """The number of times after a request to this unit that was not answered in time (_Wake)."""
     wakes_ns: int = 0
-    """How long all wakes took."""
+    """The sum of the lengths of these times, in ns."""
     damaged_wakes: int = 0
     spoilt_wakes: int = 0
     """The number of damaged wakes in which another unit's request failed."""

@@ -41,30 +41,42 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 5
+"""The least number of constant bytes, or of pieces, from which a trouble is reported."""
 FEW = 0.1
-"""A constant byte stands beside at least this share (0 to 1) of the transactions."""
+"""LINE-BIAS is reported only if constant bytes are at least this share (0 to 1) of the requests. It
+names a unit if at least this share of the constant bytes is beside its frames."""
 MOSTLY = 0.8
+"""LINE-BIAS is reported only if at least this share (0 to 1) of the single bytes has the same
+value."""
 OFTEN = 0.2
-"""A place is reported if at least this share (0 to 1) of the constant bytes are there."""
+"""LINE-BIAS names a place, such as before answers, if at least this share (0 to 1) of the constant
+bytes is there."""
 LONGEST_BIAS = 2
+"""At most this many equal bytes count as bytes of an idle line; more are a piece."""
 NEAR_NS = 4_000_000
-"""A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
-has made coarser tell no place."""
+"""A constant byte gets the place of the nearest frame if that begins or ends at most this long (ns)
+from it. Farther away it gets no place, as the times of some adapters are too coarse."""
 FOREIGN_BYTES = 50
-"""The least number of bytes of another protocol."""
+"""LINE-FOREIGN is reported only if the pieces have at least this many bytes in all."""
 ALIKE = 0.8
-"""At least this share (0 to 1) of the pieces have the same form."""
+"""LINE-FOREIGN is reported if at least this share (0 to 1) of the pieces is readable text, or
+begins with the same two bytes."""
 SHORTEST_PIECE = 6
+"""Shorter pieces (bytes) are not counted for LINE-FOREIGN."""
 PIECE_NS = 50_000_000
-"""A piece that comes so soon (ns) after another one, and begins as none before, is its rest: an
-adapter or a pause has torn it."""
+"""A piece is taken for the rest of the piece before it, which an adapter or a pause has torn, if it
+comes at most this long (ns) after it and no earlier piece begins with the same two bytes."""
 HEADS = 64
+"""At most this many different beginnings (two bytes) of pieces are counted for each line."""
 ENOUGH_BYTES = 100
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this many bytes."""
 ENOUGH_PIECES = 5
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this many pieces."""
 SHORTEST_NS = 2_000_000_000
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this time (ns)."""
 CHANCE = 1e-6
-"""A stretch is reported if its probability is below this: the probability that the usual noise of
-the line damages so many frames in a row."""
+"""LINE-SETTINGS needs a stretch whose pieces the line's usual noise would damage in a row with a
+lower probability (0 to 1) than this."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 
 
@@ -96,7 +108,7 @@ class _StrayLine:
     piece_ns: int | None = None
     """When the last piece came; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
-    """By their first two bytes, the numbers of pieces."""
+    """The number of pieces by their first two bytes."""
     own_heads: set[bytes] = field(default_factory=set)
     """The first two bytes of known frames: pieces that begin so may be damaged frames."""
     foreign_cases: list[Evidence] = field(default_factory=list)
@@ -329,8 +341,8 @@ def _end_stretch(line: _StrayLine) -> None:
 
 
 def _by_chance(damaged: int, right: int) -> float:
-    """Return how many damaged frames in a row may still be chance on a line with so many damaged
-    and right ones.
+    """Return the number of damaged frames in a row that usual noise causes with the probability
+    CHANCE, on a line that has `damaged` and `right` frames in all.
     """
     return log(CHANCE) / log(damaged / (damaged + right)) if damaged and right else 0
 

@@ -28,23 +28,28 @@ if TYPE_CHECKING:
 
 LATE_NS = 100_000_000
 LATE_TIMES = 20
-"""An answer is late if it takes at least LATE_NS (ns), and this many times the median of its
-poll."""
+"""An answer is counted in POLL-LATE if it takes at least LATE_NS (ns), and at least this many times
+the median latency of its poll."""
 ENOUGH_ANSWERS = 20
-"""Polls with fewer answers than this have no late answers, as their usual latency is not known."""
+"""POLL-LATE is not judged for polls with fewer answers than this, as their usual latency is not
+known."""
 PAUSE_NS = LONG_NS
 PAUSE_TIMES = 10
 """The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
 for this many of its periods."""
 ENOUGH_PERIODS = 20
+"""Pauses are looked for only in polls with at least this many measured periods."""
 _TRIED = 50
-"""Only among so many of the most frequent polls of a master a regular one is looked for."""
+"""A poll with a regular period is looked for among at most this many polls of a master, those with
+the most periods."""
 REQUESTS_PER_CONNECTION = 3
-"""A link has a TCP connection for each poll if its connections carry at most so many requests in
+"""A link has a TCP connection for each poll if its connections carry at most this many requests in
 the mean, and are at least ENOUGH_CONNECTIONS."""
 ENOUGH_CONNECTIONS = 20
+"""A link with fewer opened connections than this is not said to have one for each poll."""
 _HANDSHAKE_S = 0.001
-"""The time that opening a connection takes, for the comparison with pauses and late answers."""
+"""The time (s) that opening a connection is assumed to take. Opened connections times this is the
+lost time by which the trouble is ranked among pauses and late answers."""
 _MS = 1_000_000
 
 

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 MAX_EVIDENCE = 100
-"""A trouble keeps at most so many cases; its `count` counts all of them."""
+"""A trouble keeps at most this many cases as evidence; its `count` counts all cases."""
 MAX_OTHERS = 1000
+"""A trouble that stands for several units, links or masters keeps at most this many of the
+others."""
 
 
 class Sureness(StrEnum):

@@ -45,9 +45,10 @@ MANY_REFUSING = 4
 """If at least this many units, and half of all, refuse requests, one trouble reports all: the
 requests are wrong, not the units."""
 SCAN = 20
-"""At least so many different requests, few of them sent twice, are called a scan."""
+"""Refused requests are called a scan if at least this many of them are different, and ONCE."""
 ONCE = 0.9
-"""A scan sends at least this share (0 to 1) of its requests once."""
+"""Refused requests are called a scan only if the number of different ones is at least this share
+(0 to 1) of all: nearly none was sent twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,7 @@ SLOWER = 2
 """A unit has become slower if its mean latency in the last quarter of its bins of time is at least
 this many times that in the first half, and at least SLOWER_NS more."""
 SLOWER_NS = 10_000_000
+"""The least rise (ns) of the mean latency of a unit that became slower; see SLOWER."""
 _ENOUGH_BINS = 8
 """A unit with answers in fewer bins than this is never said to have become slower."""
 
@@ -190,7 +192,7 @@ def _mean(bins: Sequence[UnitBin]) -> float:
 
 
 _NAMED = 2
-"""At most so many requests that a unit always refuses are named."""
+"""A text names the requests that a unit always refuses if there are at most this many."""
 _SEARCH = {
     "UNIT-SILENT": "no-answer",
     "UNIT-BAD-CRC": "no-answer",

@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
 MAX_POINTS = 1000
+"""The most points of a drafted profile; a comment gives the number of the remaining registers."""
 MAX_LISTED = 24
+"""A comment lists at most this many addresses or ranges."""
 
 _NO_FUNCTION = ExceptionCode.ILLEGAL_FUNCTION
 _WRONG_VALUE = ExceptionCode.ILLEGAL_DATA_VALUE

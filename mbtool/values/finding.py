@@ -45,16 +45,17 @@ if TYPE_CHECKING:
 
 
 MOST_SHOWN = 100
-"""At most this many places are returned for a number."""
+"""At most this many places are returned for each wanted number."""
 LIKELY = 0.5
-"""A place is the answer if it is at least as likely as this."""
+"""A place is shown as the answer if its probability (0 to 1) is at least this."""
 NOWHERE = 1e-5
-"""The greatest probability (0 to 1) of seeing a number that is in no register."""
+"""The greatest probability (0 to 1) of a sighting if the number is in no register."""
 _NOWHERE_OF_ITS_SIZE = 0.01
-"""That probability for each unit of the relative tolerance, as a number of many digits seldom
-equals a register by chance."""
+"""The probability of a sighting if the number is in no register is at most this times the relative
+tolerance of the number: a number of many digits seldom equals a register by chance."""
 _UNJUDGED = 0.02
-"""The prior probability of an idea that judging.py does not favour."""
+"""The probability (0 to 1), before any sighting, of a type and place that judging.py does not
+favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
 _WHOLE_SCALES = {
     0: 0.32,
@@ -67,24 +68,37 @@ _WHOLE_SCALES = {
     2: 0.01,
     3: 0.015,
 }
-"""By power of ten: how frequent a scale of whole numbers is."""
+"""The share (0 to 1) of whole numbers in registers that have this scale, by its power of ten."""
 _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 2, 3)}
 _UNSEEN_DIGIT = 1.4
-"""A register with a digit more than the display shows is less probable by exp of this."""
+"""Each decimal digit that a register has more than the display shows divides the probability by e
+to the power of this."""
 _DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
-"""By this share of itself, a value may differ a little before the recording, or after it."""
+"""The share (0 to 1) of a register's value by which it may differ before or after the recording: of
+one that changed in the recording, and of one that did not. It is added to three times the
+spread."""
 _BETWEEN = 1e-3
-"""The factor for a number that is between two whole numbers of a register, as it cannot show it."""
+"""The factor (0 to 1) on the probability of a register that has whole numbers, if the number seen
+is between two of them."""
 _REACH = 8
+"""A register is tried for a number if the number is at most this many times its tolerance, and this
+many times the drift, outside of the register's values."""
 _NEGLIGIBLE = 1e-9
+"""A place is dropped if its probability is less than this share (0 to 1) of NOWHERE, or of the best
+place."""
 _MOST_IDEAS = 200
-"""So many ideas of each number are balanced with those of the others."""
+"""For each wanted number, at most this many places are kept, the most probable ones."""
 _ROUNDS = 12
+"""The number of rounds in which the places of several numbers are weighed against each other."""
 _STRIDE_ROUNDS = 3
+"""The number of rounds in which equal distances between the places of several numbers make these
+places more probable."""
 _OUTSIDE = 0.45
-"""The factor (0 to 1) for registers that never had the number in the recording."""
+"""The factor (0 to 1) on the probability of a register that never had the number in the
+recording."""
 _MOST_STRIDES = 12
-"""So many places of each number are looked at for equal distances."""
+"""Equal distances are looked for among at most this many places of each number, the most probable
+ones."""
 
 
 class Sighting(NamedTuple):
@@ -571,8 +585,11 @@ def _setting_weight(before: Sequence[float], after: Sequence[float]) -> float:
 
 
 _WRITTEN = 20.0
-"""A setting that a master wrote is so much more probable."""
+"""The factor on the weight of a place that changed, if a master wrote it: writes are how settings
+change."""
 _SETTING_UNSEEN = 0.01
+"""The weight of the case that no register of the recording has the setting; the weights of all
+places and this one are scaled to 1."""
 
 
 def _sides(

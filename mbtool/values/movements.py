@@ -28,13 +28,15 @@ Int64s = npt.NDArray[np.int64]
 K = TypeVar("K", int, tuple[int, str])
 
 STEPS = 8
-"""So many of the largest steps of each value are kept."""
+"""The number of largest steps that are kept of each value."""
 FALLS = 3
-"""So many of the first falls of each value are kept."""
+"""The number of first falls that are kept of each value."""
 PAUSE_TIMES = 10
-"""The polling paused if an answer comes so many times later than usual."""
+"""The polling paused if the time since the answer before is more than this many times the usual
+one; a change across a pause is no step."""
 _ROUNDING = 1e-6
-"""A value is outside of its range only if it is so by more than this share of the limit."""
+"""A value is outside of the range in its profile only if it exceeds a limit by more than this share
+(0 to 1) of the limit."""
 _NO_VALUES = {
     PointType.UINT16: (0xFFFF, 0x8000, 0x7FFF),
     PointType.HEX16: (0xFFFF, 0x8000, 0x7FFF),

@@ -40,6 +40,7 @@ def histories_of(seen: ObservedSlave) -> list[WordHistory]:
 
 MAX_CHANGES = 1600
 MAX_TEXTS = 32
+"""The most different texts (such as `on`) that a series keeps."""
 
 
 class SeriesSample(msgspec.Struct, frozen=True, gc=False):

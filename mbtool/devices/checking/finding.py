@@ -32,7 +32,7 @@ class Finding:
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     count: int = 1
-    """Number of cases that the finding summarises."""
+    """The number of times that the rule was broken like this; the finding stands for all."""
 
     file: str | None = None
     """The capture file of the first case, as the user named it; None if it is not known."""
