@@ -119,7 +119,7 @@ def check(
     troubles, docs/findings.md those of broken rules.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.output import opened, say_if_empty, told_as_lost, verdict_kept
+    from mbtool.cli.output import as_output_error, opened, say_if_empty, verdict_kept
     from mbtool.cli.output_file import is_old
     from mbtool.cli.output_path import (
         chosen_format,
@@ -155,7 +155,7 @@ def check(
     with (
         verdict_kept(lambda: run.is_anything_wrong),
         opened(path, run.reading.demand_files, overwrite=overwrite) as (file, name),
-        told_as_lost(name),
+        as_output_error(name),
         interruptible() as interrupt,
         _finished(
             file,

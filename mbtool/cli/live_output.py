@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.cli.output import RecordOutput, told_as_lost
+from mbtool.cli.output import RecordOutput, as_output_error
 from mbtool.cli.talk import say
 from mbtool.cli.view_queue import ViewQueue, unwaited
 from mbtool.core import OutputError
@@ -96,7 +96,7 @@ class LiveOutput(RecordOutput):
         if not self._has_reader:
             return
         try:
-            with told_as_lost(self._name):
+            with as_output_error(self._name):
                 for write in writes:
                     write()
         except (BrokenPipeError, OutputError) as error:

@@ -198,7 +198,7 @@ def _open_standard_descriptors() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command, flush standard output, and return the exit code."""
-    code = _told(arguments)
+    code = _run_command(arguments)
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -211,7 +211,7 @@ def run(arguments: list[str]) -> int:
     return code
 
 
-def _told(arguments: list[str]) -> int:
+def _run_command(arguments: list[str]) -> int:
     """Run one command, print its error if it raises one, and return the exit code."""
     root = get_command(app)
     try:

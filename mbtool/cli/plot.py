@@ -160,7 +160,7 @@ def _demand_matplotlib() -> None:
 
 
 def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:
-    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.output import as_output_error, opened
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted
     from mbtool.views.plot_image import write_image
@@ -168,7 +168,7 @@ def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -
     series = list(values.series.items())
     if not series:
         return
-    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+    with opened(path, lambda: None, overwrite=overwrite) as (file, name), as_output_error(name):
         write_image(series, values.begin_ns, values.end_ns, file.buffer, format_)
         file.flush()
     say(f"{counted(len(series), 'value')} -> {path}")
@@ -180,7 +180,7 @@ def _print(
     from rich.text import Text
 
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.output import told_as_lost
+    from mbtool.cli.output import as_output_error
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted
     from mbtool.sources.files import shown_name
@@ -192,7 +192,7 @@ def _print(
     charts = sum(not one.bit for one in changing.values())
     size = _size(console, charts, len(values.series) + len(changing) - charts)
     lines: Sequence[StyledLine] = ()
-    with told_as_lost("standard output"):
+    with as_output_error("standard output"):
         if as_json:
             sys.stdout.write(values_json(values.series, [*map(shown_name, files)], values.left_out))
         elif not values.series:

@@ -133,7 +133,7 @@ class ModemOptions(OptionGroup):
     ] = None
     rts: Annotated[LineChoice | None, typer.Option("--rts", help="The same for RTS.")] = None
 
-    def on(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
+    def applied_to(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
         """Return the links, with the chosen states of DTR and RTS in the serial lines.
 
         Raises UsageError if states are chosen but no link is a serial line.
@@ -230,7 +230,7 @@ def sniff(
     # Finding the settings of a line may take minutes, so errors are checked before that.
     serial_lines(specs)
     log.check_path()
-    specs = modem.on(timing.given(found_settings(specs, wait)))
+    specs = modem.applied_to(timing.given(found_settings(specs, wait)))
     run = ServiceRun(os.environ) if log.service else None
     begin = log.creation(specs, timing, tcp_ports, told, run)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)

@@ -146,14 +146,14 @@ class _Shown:
         `profile_named` returns the profile of this name, if it is in use.
         """
         from mbtool.cli.console import PipeConsole
-        from mbtool.cli.output import told_as_lost
+        from mbtool.cli.output import as_output_error
         from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
         if self.is_advice:
             _print_advice(account, judgement, profile_named, as_json=self.as_json)
             return
-        with told_as_lost("standard output"):
+        with as_output_error("standard output"):
             if self.as_json:
                 text = statistics_document(
                     account,

@@ -256,7 +256,7 @@ class Decoder:
         known = self._lines.get(link)
         if known is None and not self._is_line_given:
             known = self._usb.line(link)
-        return known or self._line.on(link)
+        return known or self._line.link_at(link)
 
     def begin_line(self, line: SerialLink) -> None:
         """Set the settings of the serial link named `line.name`, before its bytes are fed."""
@@ -378,7 +378,7 @@ class Decoder:
         opened = _connection_event(item, EventKind.OPENED, text)
         detector = self._detector(item.connection, joined=item.joined)
         if self._is_expected(item.connection):
-            return [detector.in_detected_roles(opened)]
+            return [detector.with_detected_roles(opened)]
         detector.hold(opened)
         return []
 
@@ -411,13 +411,13 @@ class Decoder:
             probes += f", the last {item.unanswered_probes} unanswered"
         text = _DROPPED if discarded else _closing_text(item)
         closed = _connection_event(item, kind, text + probes)
-        return [*records, closed if detector is None else detector.in_detected_roles(closed)]
+        return [*records, closed if detector is None else detector.with_detected_roles(closed)]
 
     def _stream_event(self, item: StreamEvent) -> list[Record]:
         detector = self._detectors.get(item.connection)
         state = None if detector is None else detector.state
         if detector is not None and state is ProtocolState.MODBUS:
-            return [detector.in_detected_roles(item.event)]
+            return [detector.with_detected_roles(item.event)]
         if self._is_expected(item.connection):
             return [item.event]
         if detector is not None and state is ProtocolState.UNDECIDED:

@@ -308,9 +308,9 @@ class ProtocolDetector:
         """The decoder if Modbus/TCP was detected, with `connection.master` as master; else None."""
         return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
-    def in_detected_roles(self, event: WireEvent) -> WireEvent:
+    def with_detected_roles(self, event: WireEvent) -> WireEvent:
         """Return an event of the connection with its master and slave as they were detected."""
-        return self._candidates[0].in_own_roles(event) if self._candidates else event
+        return self._candidates[0].with_assigned_roles(event) if self._candidates else event
 
     @property
     def _expected(self) -> _ProtocolCandidate | None:
@@ -367,7 +367,7 @@ class ProtocolDetector:
         if candidate.is_confirmed and not candidate.is_rtu:
             self._slaves.add(candidate.slave)
         self._candidates = [candidate]
-        events = [candidate.in_own_roles(event) for event in self._held]
+        events = [candidate.with_assigned_roles(event) for event in self._held]
         decoded = [*events, *candidate.decoded]
         self._held.clear()
         candidate.decoded.clear()
@@ -571,7 +571,7 @@ class _ProtocolCandidate:
             elif one.kind not in (EventKind.GAP, EventKind.CUT):
                 self.well_formed = 0
 
-    def in_own_roles(self, event: WireEvent) -> WireEvent:
+    def with_assigned_roles(self, event: WireEvent) -> WireEvent:
         """Return an event with master and slave as this candidate assigns them.
 
         An event with raw bytes keeps its source and destination: they name who sent the bytes.

@@ -276,7 +276,7 @@ class TapPair:
         for side in self._sides.values():
             side.advance(now_ns)
         decoded += self._take_known()
-        if not any(side.is_busy for side in self._sides.values()):
+        if not any(side.has_pending_events for side in self._sides.values()):
             decoded += self._pairing.advance(now_ns)
         return decoded
 
@@ -428,7 +428,7 @@ class _TapSide:
         return self._held[0].start_ns if self._held else self.until_ns
 
     @property
-    def is_busy(self) -> bool:
+    def has_pending_events(self) -> bool:
         return bool(self._held or self.events)
 
     def feed(self, data: bytes, ts_ns: int) -> None:

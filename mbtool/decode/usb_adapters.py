@@ -238,7 +238,7 @@ class UsbAdapters:
         if port.is_ascii is None:
             port.is_ascii = _is_ascii(data)
         if format_ is not None:
-            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).on(link)
+            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).link_at(link)
             port.has_changed = port.line is not None and port.line != line
             port.line = line
         if packet.ts_ns < port.last_ns - MAX_BACK_NS:

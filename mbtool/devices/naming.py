@@ -224,7 +224,7 @@ class _Vocabulary:
         meaning = self._meaning(transaction)
         if self._scale_factors is None:
             return meaning
-        return meaning.scaled(self._scale_factors.after(transaction, meaning.read))
+        return meaning.scaled(self._scale_factors.update(transaction, meaning.read))
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)

@@ -148,7 +148,7 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
     in_ascii = slave.transports == {Transport.ASCII}
     known = slave.known_addresses()
     matches = [
-        _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
+        _match(slave, profile.with_limits_of(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
     # If the slave reported a model code, put the profiles of other models last, even if everything

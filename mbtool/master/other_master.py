@@ -117,7 +117,7 @@ class HeardPoll:
         self.last_ns, self.is_followed = at_ns, True
 
     @property
-    def pause_ns(self) -> int:
+    def usable_pause_ns(self) -> int:
         """The silence, in ns, that surely follows the response; 0 if it was heard too rarely."""
         return round(min(self.pauses) * RELIABLE) if len(self.pauses) >= LEAST_SEEN else 0
 
@@ -267,7 +267,7 @@ class OtherMaster:
         if unit in self._owed or self._answered is None or self._last_byte_ns > self._answered[1]:
             return 0
         poll, end_ns = self._answered
-        until_ns = end_ns + poll.pause_ns
+        until_ns = end_ns + poll.usable_pause_ns
         for one in self.polls.values():
             due_ns = one.due_ns
             if due_ns is None:
@@ -280,8 +280,8 @@ class OtherMaster:
 
     @property
     def longest_pause_ns(self) -> int:
-        """The longest pause of a poll, in ns, that is certain (`pause_ns`); 0 if there is none."""
-        return max((one.pause_ns for one in self.polls.values()), default=0)
+        """The longest certain pause of a poll (`usable_pause_ns`), in ns; 0 if there is none."""
+        return max((one.usable_pause_ns for one in self.polls.values()), default=0)
 
     @property
     def greatest_pause_ns(self) -> int:

@@ -467,9 +467,9 @@ class TcpConnection:
             if not moved:
                 # Try first a stream whose beginning is not yet known: no gap is reported for it.
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
-                moved = any(self._give_up(stream, force) for stream in streams)
+                moved = any(self._give_up_missing_bytes(stream, force) for stream in streams)
 
-    def _give_up(self, stream: Stream, force: bool) -> bool:
+    def _give_up_missing_bytes(self, stream: Stream, force: bool) -> bool:
         """Treat the bytes missing before the first held ones as lost, if they had time to come.
 
         With `force` they need no time. Returns True if bytes or a gap were delivered.

@@ -74,7 +74,7 @@ class ConnectionPlayer(ConnectionPolicy):
         is_loop: bool = False,
     ) -> None:
         """Prepare to play connections of one slave, in the order of their beginnings."""
-        super().__init__(idle_s=_idle_s(recorded))
+        super().__init__(idle_s=_idle_timeout_s(recorded))
         self._rate = rate
         self._is_loop = is_loop
         self._plan = _planned(recorded)
@@ -203,6 +203,6 @@ def _refusals(recorded: Sequence[RecordedConnection]) -> list[tuple[int, int, in
     return runs
 
 
-def _idle_s(recorded: Sequence[RecordedConnection]) -> float:
+def _idle_timeout_s(recorded: Sequence[RecordedConnection]) -> float:
     longest_ns = max(((one.end_ns or one.last_ns) - one.begin_ns for one in recorded), default=0)
     return max(LEAST_IDLE_S, _SPARE_IDLE * longest_ns / 1e9)

@@ -141,7 +141,7 @@ class LiveWrites:
             return recorded
         return live.value
 
-    def in_answer(
+    def overlay_on_recorded(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
         """Return the values of a recorded response of `unit`, with those replaced that the live
@@ -426,7 +426,9 @@ class RecordedSlave:
         # If the matcher uses the clock, the answer may have been recorded later than the clock's
         # time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
-        shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
+        shown = self._writes.overlay_on_recorded(
+            unit, access.table, access.reads.start, values, place
+        )
         return answer if shown == list(values) else response_to(request, pdu, shown)
 
     def _delay_ns(self, unit: int, function: int, own_ns: int | None) -> int:

@@ -24,7 +24,7 @@ ODD_EXCEPTIONS = 0x40
 """No known device uses exception code 0, this exception code or a higher one."""
 
 
-def is_odd_request(pdu: bytes) -> bool:
+def is_implausible_request(pdu: bytes) -> bool:
     """True if a PDU with the form of a request has contents that no master sends.
 
     A request for a counter (function 08) always has 0000 as data (V1.1b3, 6.8.1).
@@ -34,7 +34,7 @@ def is_odd_request(pdu: bytes) -> bool:
     return pdu[0] == 0x08 and int.from_bytes(pdu[1:3]) in COUNTS and any(pdu[3:])
 
 
-def is_odd_response(pdu: bytes) -> bool:
+def is_implausible_response(pdu: bytes) -> bool:
     """True if a PDU with the form of a response has contents that no slave sends.
 
     That is an odd number of bytes in a response that brings registers, or an exception code that

@@ -32,7 +32,7 @@ from mbtool.serial_line.bus_model import (
     Classification,
 )
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, confidence_of
-from mbtool.serial_line.costs import is_odd_request, is_padded
+from mbtool.serial_line.costs import is_implausible_request, is_padded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -286,7 +286,7 @@ class FastPath:
         and the bytes behind it.
         """
         history, pending, overdue = self._model.history, state.pending, state.overdue
-        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_odd_request(pdu):
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_implausible_request(pdu):
             return None
         if pending is not None and pending.unit != unit and not history.timed:
             if state.follows_damage or (overdue is not None and overdue.fits(unit, pdu)):

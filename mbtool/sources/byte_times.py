@@ -133,7 +133,7 @@ def is_byte_times(head: bytes) -> bool:
     if len(cells) <= max(places.values()):
         return False
     try:
-        _ns(cells[places[START]], START, "", 2)
+        _parse_time_ns(cells[places[START]], START, "", 2)
     except InputError:
         return False
     cell = cells[places[BYTE]]
@@ -221,11 +221,11 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
                 raise _wrong(name, number, f"{len(cells)} columns, where row 1 has {len(header)}")
             if type_at is not None and cells[type_at] != "data":
                 continue
-            start_ns = end_ns = _ns(cells[start_at], header[start_at], name, number)
+            start_ns = end_ns = _parse_time_ns(cells[start_at], header[start_at], name, number)
             if end_at is not None:
-                end_ns = _ns(cells[end_at], header[end_at], name, number)
+                end_ns = _parse_time_ns(cells[end_at], header[end_at], name, number)
             elif duration_at is not None:
-                end_ns += _ns(cells[duration_at], header[duration_at], name, number)
+                end_ns += _parse_time_ns(cells[duration_at], header[duration_at], name, number)
             if end_ns < start_ns:
                 raise _wrong(name, number, f"{END} is before {START}")
             if shift_ns is None:
@@ -267,7 +267,7 @@ def _split(line: str) -> list[str]:
         return [cell.strip().strip('"') for cell in line.split(",")]
 
 
-def _ns(text: str, column: str, name: str, number: int) -> int:
+def _parse_time_ns(text: str, column: str, name: str, number: int) -> int:
     try:
         if _ISO.fullmatch(text):
             return iso_ns(text.encode())

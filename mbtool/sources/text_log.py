@@ -475,7 +475,7 @@ class TextLog:
         return plan
 
     def _read(self, line: bytes, plan: _Plan) -> list[TextFrame]:
-        ts_ns = None if plan.time is None else self._ns(plan.time, line)
+        ts_ns = None if plan.time is None else self._read_time_ns(plan.time, line)
         frames: list[TextFrame] = []
         for place in plan.places:
             choices = []
@@ -489,9 +489,9 @@ class TextLog:
             self.bytes_seen += len(choices[0])
             first, label = place.readings[0], place.label
             if first.is_row or not (label.text or label.mark or plan.time):
-                label, ts_ns = self._of_dump(line[: first.start], label, ts_ns)
+                label, ts_ns = self._label_and_time_of_dump_row(line[: first.start], label, ts_ns)
             elif label.mark is None or ts_ns is None:
-                label, ts_ns = self._of_lines_before(label, ts_ns)
+                label, ts_ns = self._label_and_time_of_lines_before(label, ts_ns)
             is_short = len(choices[0]) < LEAST_BYTES and not first.is_row
             if is_short and label.mark is None and not self._frames.is_open(label, self.lines):
                 continue
@@ -500,7 +500,9 @@ class TextLog:
             frames += self._frames.feed(choices, label, self._time_ns, self.lines)
         return frames
 
-    def _of_dump(self, offset: bytes, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+    def _label_and_time_of_dump_row(
+        self, offset: bytes, label: Label, ts_ns: int | None
+    ) -> tuple[Label, int | None]:
         """Return the label and the time of a row of bytes: those of its heading.
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
@@ -511,11 +513,13 @@ class TextLog:
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
             label = self._last_row[1]
         elif label.mark is None:
-            label, ts_ns = self._of_lines_before(label, ts_ns)
+            label, ts_ns = self._label_and_time_of_lines_before(label, ts_ns)
         self._last_row = self.lines, label
         return label, ts_ns
 
-    def _of_lines_before(self, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+    def _label_and_time_of_lines_before(
+        self, label: Label, ts_ns: int | None
+    ) -> tuple[Label, int | None]:
         """Return the label and the time, each from the lines before if the line has none."""
         mark: Mark | None = label.mark
         row = self.lines
@@ -529,7 +533,7 @@ class TextLog:
             is_of_bytes = before.has_bytes
             mark = mark or before.mark
             if ts_ns is None and before.time is not None:
-                ts_ns = self._ns(before.time, line)
+                ts_ns = self._read_time_ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines belong to one object.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -538,7 +542,7 @@ class TextLog:
             label = Label(label.text + b"/" + mark.word, mark)
         return label, ts_ns
 
-    def _ns(self, time: Time, line: bytes) -> int | None:
+    def _read_time_ns(self, time: Time, line: bytes) -> int | None:
         try:
             ts_ns = self._dates.read(time, line[time.start : time.end])
         except (ValueError, KeyError):

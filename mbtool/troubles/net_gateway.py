@@ -284,20 +284,22 @@ class Gateways(Sense):
             if of_link.is_whole and slow is not None:
                 yield from _blocked(of_link, slow)
             if of_link.is_whole and shared is not None and shared.waiting:
-                yield from _of_shared(of_link, shared)
+                yield from _masters_wait_trouble(of_link, shared)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
-            cases = _of_one_timeout(connection.late)
+            cases = _cases_with_equal_wait(connection.late)
             if len(cases) >= OF_TIMEOUT * connection.overlaps:
                 for case in cases:
                     late.setdefault((case[0].link, case[0].unit), []).append(case)
         for (link, unit), cases in late.items():
-            distinct = _of_one_timeout([*{case[0].start_ns: case for case in cases}.values()])
+            distinct = _cases_with_equal_wait(
+                [*{case[0].start_ns: case for case in cases}.values()]
+            )
             if link in whole and len(distinct) >= ENOUGH:
                 yield _late(link, unit, distinct, asked.get((link, unit), 0))
 
 
-def _of_one_timeout(
+def _cases_with_equal_wait(
     cases: list[tuple[NamedTransaction, int]],
 ) -> list[tuple[NamedTransaction, int]]:
     """Return the cases in which the master waited about equally long, as for a time-out."""
@@ -324,7 +326,7 @@ def _late(
     )  # fmt: skip
 
 
-def _of_shared(link: LinkReport, shared: _SharedLink) -> Iterator[Trouble]:
+def _masters_wait_trouble(link: LinkReport, shared: _SharedLink) -> Iterator[Trouble]:
     """Yield the trouble that masters wait for each other, if they do."""
     waits, overtakes = _waits_of(shared.waiting)
     holders = _slower_units(shared.waiting, waits)

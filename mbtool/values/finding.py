@@ -410,11 +410,11 @@ def _probability(seen: Sighting, idea: _Idea) -> float:
     The number that was seen is in the unit of the registers.
     """
     if seen.at_ns is None:
-        return _of_history(seen.value, seen.tolerance, idea)
-    return _at_a_time(seen.value, seen.tolerance, idea, seen.at_ns)
+        return _probability_in_history(seen.value, seen.tolerance, idea)
+    return _probability_at_time(seen.value, seen.tolerance, idea, seen.at_ns)
 
 
-def _of_history(value: float, tolerance: float, idea: _Idea) -> float:
+def _probability_in_history(value: float, tolerance: float, idea: _Idea) -> float:
     """The probability of a value seen at some time during the recording, or near it."""
     beyond = max(idea.low - value, value - idea.high, 0.0)
     drift = idea.drift + tolerance
@@ -425,11 +425,11 @@ def _of_history(value: float, tolerance: float, idea: _Idea) -> float:
     return inside + outside
 
 
-def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float:
+def _probability_at_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float:
     """The probability of a value seen at a time."""
-    numbers = _around(idea, at_ns)
+    numbers = _numbers_around(idea, at_ns)
     if not numbers:
-        return _of_history(value, tolerance, idea) * 0.5
+        return _probability_in_history(value, tolerance, idea) * 0.5
     low, high = min(numbers), max(numbers)
     beyond = max(low - value, value - high, 0.0)
     if beyond <= tolerance * 1.001:
@@ -439,7 +439,7 @@ def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float
     return 0.3 * share * math.exp(-(beyond - tolerance) / drift)
 
 
-def _around(idea: _Idea, at_ns: int) -> Sequence[float]:
+def _numbers_around(idea: _Idea, at_ns: int) -> Sequence[float]:
     """The numbers right before and after a time."""
     exact = idea.slave.exact.get(at_ns, ())
     words = idea.reading.words

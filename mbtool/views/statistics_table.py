@@ -85,7 +85,7 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
     shown = max(top // _LISTS_WITH_STEPS, 1)
     for one in long[:shown]:
         title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
-        lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
+        lines += [*_step_lines(one[2], title, width, top), *_polls_repeated_in_cycle(one[2], width)]
     lines += _part_line(found)
     return [*lines, *_untold_lists(len(long), shown), *_between_lines(links, width, top)]
 
@@ -159,7 +159,7 @@ def _step_lines(
     return table_lines(title, _STEP, rows, width) + more_line(len(one.steps), top, "steps")
 
 
-def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
+def _polls_repeated_in_cycle(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
     if not one.repeated:
         return []
     texts = "; ".join(f"{poll_text(poll)} x{one.polls.count(poll)}" for poll in one.repeated)

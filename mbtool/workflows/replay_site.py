@@ -160,7 +160,7 @@ class SiteRun:
         """
         return PlayedSite(
             [
-                (one, one.run.on(one.link, allowed=allowed, on_exchange=on_exchange(one)))
+                (one, one.run.create_slave(one.link, allowed=allowed, on_exchange=on_exchange(one)))
                 for one in self.players
             ]
         )

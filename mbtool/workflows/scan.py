@@ -180,7 +180,7 @@ class Scan:
                 return found
         return None
 
-    def registers(self, unit: int, addresses: range) -> Iterator[tuple[Table, int]]:
+    def scan_registers(self, unit: int, addresses: range) -> Iterator[tuple[Table, int]]:
         """Find the areas of each table; yield table and next address after each block.
 
         Addresses are those on the wire. Ends early if the unit answers no more.
@@ -201,7 +201,7 @@ class Scan:
                     self._limits[unit, code] = size // 2
                     continue
                 if answer == _ILLEGAL_VALUE and size > 1:
-                    shorter = self._shorter(unit, code, at, size)
+                    shorter = self._accepted_length(unit, code, at, size)
                     if shorter:
                         self._limits[unit, code] = shorter
                         continue
@@ -230,7 +230,7 @@ class Scan:
         is_known = any(area.unit == unit for area in self.state.areas)
         return is_known or self._answers != {_DEVICE_FAILURE}
 
-    def _shorter(self, unit: int, code: int, at: int, size: int) -> int:
+    def _accepted_length(self, unit: int, code: int, at: int, size: int) -> int:
         """Return a length of a block that is not too long for the unit, if `size` is; 0 if it
         refuses the addresses, and not the length.
         """

@@ -199,7 +199,7 @@ class _EntityReader:
         )
         if point.table.is_bits:
             raise ValueError("reads registers from a table of bits")
-        point = _told(point, values)
+        point = _with_entry_keys(point, values)
         if entry.platform == "sensors":
             count = 1 + _whole(values.get("virtual_count", values.get("slave_count", 0)))
             self._add_series(point, count)
@@ -225,7 +225,7 @@ class _EntityReader:
             self.points.append(PlacedPoint(_replaced(point, fields), Access.READ))
 
 
-def _told(point: Point, values: dict[str, Any]) -> Point:
+def _with_entry_keys(point: Point, values: dict[str, Any]) -> Point:
     """Return the point with the scale, unit, word order and byte order in the keys of its entry,
     `values`.
 

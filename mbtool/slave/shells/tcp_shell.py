@@ -378,9 +378,11 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._split_timer.cancel()
             self._split_timer = None
         if self._is_in_pieces and self._split_timer is None and math.isfinite(self._rules.split_s):
-            self._split_timer = self._loop.call_later(self._rules.split_s, self._give_up)
+            self._split_timer = self._loop.call_later(
+                self._rules.split_s, self._abort_split_request
+            )
 
-    def _give_up(self) -> None:
+    def _abort_split_request(self) -> None:
         self._loss = Loss.SPLIT
         self._transport.abort()
 

@@ -382,7 +382,7 @@ class Reading:
             pieces = self.exact_times.noted(pieces, line.format)
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
-        decoder.begin_line(line.on(capture.link))
+        decoder.begin_line(line.link_at(capture.link))
         for piece in self._fed(pieces):
             self._items += 1
             yield from decoder.feed(piece)
