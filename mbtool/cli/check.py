@@ -128,7 +128,7 @@ def check(
         named_file,
     )
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, interruption_told, say
+    from mbtool.cli.talk import interruptible, say, say_if_interrupted
     from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
@@ -147,7 +147,7 @@ def check(
     broken: InputError | None = None
     if baseline:
         demand_new(path, overwrite=overwrite)
-        with interruption_told():
+        with say_if_interrupted():
             run.reading.demand_files()
             for remark in run.learn(baseline, with_progress):
                 say(remark)

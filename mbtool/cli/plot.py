@@ -73,7 +73,7 @@ def plot(
     from mbtool.cli.output import demand_standard_output, say_if_empty
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say, say_if_interrupted
     from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
     from mbtool.workflows.shared.named_files import named_files
@@ -98,7 +98,7 @@ def plot(
     run = PlotRun(files, options, texts, window, condition(where), guesses=guesses)
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    with interruption_told():
+    with say_if_interrupted():
         values = run.take(with_progress)
     if path is not None and picture is not None:
         _write(values, path, picture, overwrite=overwrite)

@@ -200,8 +200,8 @@ def sniff(
     """
     from mbtool.cli.listening import (
         allowed_networks,
+        chosen_tcp_ports,
         found_settings,
-        heard_ports,
         read_only_taps,
         sniffer_of,
     )
@@ -224,7 +224,7 @@ def sniff(
     codes = log.keep_around or ()
     told = live_out.open(lambda text: say(f"mbtool: {text}"), allowed, codes)
     devices, wanted = assignments(device), condition(where)
-    tcp_ports = heard_ports(specs, ports)
+    tcp_ports = chosen_tcp_ports(specs, ports)
     specs = read_only_taps(specs, tcp_ports) if read_only else specs
     timing = LineTiming(devices, *silences.read())
     # Finding the settings of a line may take minutes, so errors are checked before that.

@@ -152,8 +152,8 @@ def parquet_name(path: str, digest: str) -> str:
 def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
     around = [
         Around(
-            tuple(reversed(_near(group[max(index - MAX_NEAR, 0) : index][::-1]))),
-            _near(group[index + 1 : index + 1 + MAX_NEAR]),
+            tuple(reversed(_first_files(group[max(index - MAX_NEAR, 0) : index][::-1]))),
+            _first_files(group[index + 1 : index + 1 + MAX_NEAR]),
         )
         for index in range(len(group))
     ]
@@ -165,7 +165,7 @@ def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
             begun, size = index, 0
 
 
-def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
+def _first_files(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
     """Return the first of `files`, as many as are needed for NEAR_BYTES bytes in all.
 
     Returns all of them if they have fewer bytes.

@@ -349,7 +349,7 @@ class _PcapngBlocks:
                 if not is_full:
                     break
         source.raise_error()
-        rest = reader.rest()
+        rest = reader.incomplete_reads()
         if rest is not None:
             yield _block_of([rest])
 

@@ -199,12 +199,12 @@ class _QuietBlock:
         sizes = [len(events.key), len(records), len(rows.response)]
         of_kind = np.repeat(np.arange(3), sizes)[order]
         self._row_items = np.flatnonzero(of_kind == _ROW)
-        self._rows_before = _before(of_kind == _ROW)
-        self._events_before = _before(of_kind == _EVENT)
+        self._rows_before = _counts_before(of_kind == _ROW)
+        self._events_before = _counts_before(of_kind == _EVENT)
         is_together = of_kind == _EVENT
         is_together[self._row_items] = self._is_quiet
         cuts = np.flatnonzero(is_together[1:] != is_together[:-1]) + 1
-        records_before = _before(of_kind == _RECORD).tolist()
+        records_before = _counts_before(of_kind == _RECORD).tolist()
         for begin, end in pairwise([0, *cuts.tolist(), len(order)]):
             if is_together[begin]:
                 yield from self._some(begin, end)
@@ -557,7 +557,7 @@ def _overlap(rows: PlainRows, connection: Numbers) -> Bools:
     return found
 
 
-def _before(is_one: Bools) -> Int64s:
+def _counts_before(is_one: Bools) -> Int64s:
     """Return for each item how many items before it are of a kind; then how many are in all."""
     before: Int64s = np.concatenate([[0], np.cumsum(is_one)]).astype(np.int64)
     return before

@@ -334,7 +334,7 @@ class ConnectionDecoder:
                 self._last_adus[direction] = frames[-1]
         if place is None:
             gaps = [
-                _LostBytes(one, progress.without_places(), None)
+                _LostBytes(one, progress.take_missing_bytes(), None)
                 for one, progress in self._progress.items()
             ]
             return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]

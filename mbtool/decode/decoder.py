@@ -283,7 +283,7 @@ class Decoder:
         request, buffered bytes or an undecided pairing. `now_ns` is the time of its next packet.
         """
         connection = self._reassembler.find(ends)
-        place = None if connection is None else connection.rest
+        place = None if connection is None else connection.rest_place
         detector = None if connection is None else self._detectors.get(connection.identity)
         decoder = None if detector is None else detector.plain_decoder()
         if connection is None or place is None or decoder is None:
@@ -348,7 +348,7 @@ class Decoder:
         self._detectors.move_to_end(chunk.connection)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
         if detector.state is ProtocolState.FOREIGN:
-            decoded = self._foreign_once(detector, decoded)
+            decoded = self._without_repeated_reports(detector, decoded)
             if not self._is_expected(chunk.connection):
                 self._reassembler.ignore(chunk.connection)
         records = self._to_records(decoded)
@@ -390,7 +390,7 @@ class Decoder:
         gap = detector.gap(
             item.direction, item.missing, item.ts_ns, item.kind, item.acknowledged_ns
         )
-        return self._to_records(self._foreign_once(detector, gap))
+        return self._to_records(self._without_repeated_reports(detector, gap))
 
     def _stream_closed(self, item: StreamClosed) -> list[Record]:
         detector = self._detectors.pop(item.connection, None)
@@ -496,9 +496,11 @@ class Decoder:
 
     def _end(self, detector: ProtocolDetector, end_ns: int | None) -> list[Record]:
         """End a connection; `end_ns` is the capture's end, None if the connection has ended."""
-        return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
+        return self._to_records(self._without_repeated_reports(detector, detector.close(end_ns)))
 
-    def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
+    def _without_repeated_reports(
+        self, detector: ProtocolDetector, decoded: list[Decoded]
+    ) -> list[Decoded]:
         """Drop `decoded` if it reports that an endpoint is not Modbus and an earlier report did so.
 
         Where Modbus is expected, every report is kept.

@@ -61,7 +61,7 @@ class LineTiming:
         """
         format_ = self._given(line).format
         if format_.t3_5 is None:
-            t3_5 = _shortest(self._of_profiles(line, "t3_5"), format_)
+            t3_5 = _shortest(self._silences_of_profiles(line, "t3_5"), format_)
             if t3_5 is not None and (
                 format_.t1_5 is None or _silence_ns(t3_5, format_) >= format_.t1_5_ns
             ):
@@ -69,7 +69,7 @@ class LineTiming:
         if format_.t1_5 is None:
             fitting = [
                 each
-                for each in self._of_profiles(line, "t1_5")
+                for each in self._silences_of_profiles(line, "t1_5")
                 if _silence_ns(each, format_) <= format_.t3_5_ns
             ]
             format_ = replace(format_, t1_5=_longest(fitting, format_))
@@ -82,7 +82,7 @@ class LineTiming:
     def _given(self, line: SerialLink) -> SerialLink:
         return replace(line, format=line.format.with_silences(self.t1_5, self.t3_5))
 
-    def _of_profiles(self, line: SerialLink, key: str) -> Iterable[Silence]:
+    def _silences_of_profiles(self, line: SerialLink, key: str) -> Iterable[Silence]:
         transport = Transport.ASCII if line.ascii else Transport.RTU
         for each in self.assignments:
             if each.who.host is None and transport in each.profile.transports:

@@ -236,7 +236,7 @@ class NetworkPairing:
             if self._is_lossy and (end is None or lost >= ONE_REQUEST):
                 self._doubt_order([])
         else:
-            self._lose_responses(lost, at_ns)
+            self._note_lost_responses(lost, at_ns)
             self._habits.lost_response_ns = at_ns
         self._settle(done)
         return done
@@ -380,7 +380,7 @@ class NetworkPairing:
             # Usually one request waits. This shortcut makes pairing an ADU take 8 instead of 13 us.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
-            done.append(self._with_response(response, one, since_ns, place))
+            done.append(self._answered_transaction(response, one, since_ns, place))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
         readings: list[PairReading] = []
@@ -411,7 +411,7 @@ class NetworkPairing:
         found = [*options(reading, response, place, self._habits)]
         is_before = all(option.request is REQUEST_BEFORE for option in found)
         if found and is_before and is_only_one:
-            one = self._of_other_id(reading, response, place)
+            one = self._request_with_other_id(reading, response, place)
             if one is not None and one.transaction_id == response.transaction_id:
                 if self._habits.ids_vary:
                     return [PairOption(0.0, one)]
@@ -419,11 +419,14 @@ class NetworkPairing:
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
-        if is_only_one and (one := self._of_other_id(reading, response, place)) is not None:
+        if (
+            is_only_one
+            and (one := self._request_with_other_id(reading, response, place)) is not None
+        ):
             return [PairOption(0.0, one)]
         return [PairOption(UNASKED, None)]
 
-    def _of_other_id(
+    def _request_with_other_id(
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
         """Return the request that a response with another id answers; None if that is doubtful.
@@ -458,7 +461,7 @@ class NetworkPairing:
         """True if a response may answer a request from the time at which the capture lost bytes."""
         return lost_ns is not None and response.start_ns - lost_ns <= TIMEOUT_NS
 
-    def _lose_responses(self, lost: int, at_ns: int) -> None:
+    def _note_lost_responses(self, lost: int, at_ns: int) -> None:
         runs: list[tuple[float, float, int, int, PairReading]] = []
         is_counted = True
         for reading in self._readings:
@@ -483,7 +486,7 @@ class NetworkPairing:
         for total, cost, start, count, reading in runs:
             if total <= limit:
                 other = reading.copy()
-                other.lose(start, count, cost, at_ns)
+                other.suppose_lost_responses(start, count, cost, at_ns)
                 self._readings.append(other)
 
     def _doubt_order(self, open_: list[OpenRequest], *, others_answered: bool = False) -> None:
@@ -558,7 +561,7 @@ class NetworkPairing:
             if self._may_lack_request_of(response):
                 outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
-        return self._with_response(
+        return self._answered_transaction(
             response,
             step.requests[0],
             step.since_ns,
@@ -573,7 +576,7 @@ class NetworkPairing:
             return self._joined
         return self._is_near_loss(self._requests_lost_ns, response)
 
-    def _with_response(
+    def _answered_transaction(
         self,
         response: Adu,
         one: OpenRequest,

@@ -299,7 +299,7 @@ class Pairing:
 
     def _alone(self, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> list[Transaction]:
         """Return the transaction of a response that belongs to no request."""
-        self._earlier.note_heard(response.unit)
+        self._earlier.note_unrequested_response(response.unit)
         if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
         # If the line shows no silences that tell a retry, this response may be a repeater's copy of
@@ -419,7 +419,7 @@ class Pairing:
         if self._ends.timed:
             self._earlier.note_response(request.unit, taken_ns)
         else:
-            self._earlier.note_heard(request.unit)
+            self._earlier.note_unrequested_response(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
         done = with_response(self._ends, request, response, retries, ())
         if confidence < 1.0:
@@ -551,12 +551,12 @@ class OpenLineRequests:
     def add(self, one: OpenLineRequest) -> list[OpenLineRequest]:
         """Add a request that another one followed; return the requests that no longer stay open."""
         number = one.adu.unit
-        unit = self._of(number)
+        unit = self._times_of_unit(number)
         unit.silent += 1
         if one.waits is False and unit.silent > MAX_OF_UNIT:
-            return [*self._take(self._of_unit(number)), one]
+            return [*self._take(self._requests_of_unit(number)), one]
         self.open.append(one)
-        if len(of_unit := self._of_unit(number)) > MAX_OF_UNIT:
+        if len(of_unit := self._requests_of_unit(number)) > MAX_OF_UNIT:
             return self._take(of_unit[:1])
         return self._take(self.open[:1]) if len(self.open) > MAX_OPEN else []
 
@@ -580,13 +580,13 @@ class OpenLineRequests:
 
         These no longer stay open, as a slave answers in order.
         """
-        of_unit = self._of_unit(one.adu.unit)
+        of_unit = self._requests_of_unit(one.adu.unit)
         taken = self._take(of_unit[: of_unit.index(one) + 1])
         return taken[:-1]
 
     def take_all_of(self, unit: int) -> list[OpenLineRequest]:
         """Take out the requests to a unit that answered a later request."""
-        return self._take(self._of_unit(unit)) if self.open else []
+        return self._take(self._requests_of_unit(unit)) if self.open else []
 
     def take_sent_before(self, time_ns: int) -> list[OpenLineRequest]:
         """Take out the requests that ended before `time_ns`."""
@@ -596,15 +596,15 @@ class OpenLineRequests:
         taken, self.open = self.open, []
         return taken
 
-    def note_heard(self, number: int) -> None:
+    def note_unrequested_response(self, number: int) -> None:
         """Note that a unit has sent a response that belongs to no request."""
-        self._of(number).silent = 0
+        self._times_of_unit(number).silent = 0
 
     def note_response(self, number: int, taken_ns: int) -> None:
         """Note the time (ns) that a unit took to respond."""
         unit = self._units.get(number)
         if unit is None:
-            unit = self._of(number)
+            unit = self._times_of_unit(number)
         unit.silent = 0
         unit.number += 1
         if taken_ns > unit.slowest_ns:
@@ -617,22 +617,22 @@ class OpenLineRequests:
 
         An adapter that delivers in blocks makes times shorter or longer by up to BLOCK_NS.
         """
-        times = self._of(unit)
+        times = self._times_of_unit(unit)
         is_known = times.number >= ENOUGH_TIMES
         return is_known and max(2 * taken_ns, taken_ns + BLOCK_NS) < times.fastest_ns
 
     def can_take(self, unit: int, taken_ns: int) -> bool:
         """True if a unit may take `taken_ns` to respond, as far as its times are known."""
-        times = self._of(unit)
+        times = self._times_of_unit(unit)
         return times.number < ENOUGH_TIMES or taken_ns <= UNUSUAL * times.slowest_ns
 
-    def _of(self, unit: int) -> _Unit:
+    def _times_of_unit(self, unit: int) -> _Unit:
         found = self._units.get(unit)
         if found is None:
             found = self._units[unit] = _Unit()
         return found
 
-    def _of_unit(self, unit: int) -> list[OpenLineRequest]:
+    def _requests_of_unit(self, unit: int) -> list[OpenLineRequest]:
         return [one for one in self.open if one.adu.unit == unit]
 
     def _take(self, some: list[OpenLineRequest]) -> list[OpenLineRequest]:

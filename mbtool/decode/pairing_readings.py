@@ -274,7 +274,7 @@ class PairReading:
             self.waiting.remove(request)
             self.newest = max(request.number, self.newest)
 
-    def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
+    def suppose_lost_responses(self, start: int, count: int, cost: float, at_ns: int) -> None:
         """Suppose that lost bytes answered the requests `waiting[start : start + count]`.
 
         `cost` (in units of LATE) is added to the reading's cost; `at_ns` is the time at which the

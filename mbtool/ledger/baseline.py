@@ -79,7 +79,7 @@ def changes(old: InventoryDocument, new: InventoryDocument) -> list[InventoryCha
     for row in new.slaves:
         before = known.get(_key(row))
         if before is not None:
-            found += _of_unit(before, row, old_masters)
+            found += _unit_changes(before, row, old_masters)
     found += _macs(old, new)
     found += _absent(old, new)
     order = list(ChangeKind)
@@ -166,7 +166,9 @@ def _asked_by(rows: Iterable[SlaveRow]) -> str:
     return f" asked by {listed(masters)}" if masters else ""
 
 
-def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
+def _unit_changes(
+    before: SlaveRow, row: SlaveRow, old_masters: set[str]
+) -> Iterator[InventoryChange]:
     """Yield the changes of one unit that both inventories have.
 
     `before` is its row in the older inventory, `row` that in the newer one. `old_masters` are the

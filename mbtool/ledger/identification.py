@@ -116,14 +116,21 @@ def _doubt(
         return "it says a model code that no profile has", False
     if best.contradicted and score <= FITS:
         example = _contradiction(result, profile)
-        text = f"{best.profile} comes nearest, but {_share(best)} ended as its manual says"
+        text = (
+            f"{best.profile} comes nearest, but {_explained_share(best)} ended as its manual says"
+        )
         return f"{text}; for example, {example}", True
     if len(ties) > 1 and not best.is_model:
         names = listed(sorted(ties), _FEW_TIES)
-        return f"{_share(best)} ended as the manuals of {len(ties)} profiles say: {names}", False
+        return (
+            f"{_explained_share(best)} ended as the manuals of {len(ties)} profiles say: {names}",
+            False,
+        )
     if not confirmation:
-        text = f"{_share(best)} ended as the manual of {best.profile} says, but they would at other"
-        return f"{text} devices, too: nothing shows the model", True
+        text = (
+            f"{_explained_share(best)} ended as the manual of {best.profile} says, but they would"
+        )
+        return f"{text} at other devices, too: nothing shows the model", True
     if best.explained < MIN_EXPLAINED or score <= FITS:
         return _too_few(best.explained), False
     return "", False
@@ -141,7 +148,7 @@ def _too_few(requests: int) -> str:
     return f"{_requests(requests)} {is_too_few} to tell which device it is"
 
 
-def _share(match: ProfileMatch) -> str:
+def _explained_share(match: ProfileMatch) -> str:
     """Return which share of the requests ended as a profile's manual says."""
     asked = match.explained + match.contradicted
     if not match.contradicted:

@@ -352,7 +352,7 @@ class TcpMaster(MasterLink):
                 self._tell_failed(error)
             else:
                 self.ended = ConnectionEnding.RESET
-            self._lose()
+            self._drop_connection()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
@@ -377,7 +377,7 @@ class TcpMaster(MasterLink):
                 return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
-            self._lose()
+            self._drop_connection()
             return ()
         rest = self._splitter.restart() if self._link.is_udp else []
         return [
@@ -413,7 +413,7 @@ class TcpMaster(MasterLink):
         """End the connection as the master, with a FIN or a RST. Pending requests are lost."""
         if self.socket is not None and ending is ConnectionEnding.RESET:
             reset_on_close(self.socket)
-        self._lose()
+        self._drop_connection()
 
     def close(self) -> None:
         if self.socket is not None:
@@ -432,7 +432,7 @@ class TcpMaster(MasterLink):
             del self._pending[event.transaction_id or 0]
         return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
 
-    def _lose(self) -> None:
+    def _drop_connection(self) -> None:
         self.close()
         self._lost.extend(number for number, _ in self._pending.values())
         self._pending.clear()
@@ -639,7 +639,9 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
+        while (
+            rest_ns := self._other.silence_left_ns(now_ns := time.monotonic_ns(), unit)
+        ) < needed_ns:
             if now_ns > until_ns or self.is_stopped():
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
@@ -681,7 +683,7 @@ class SerialMaster(MasterLink):
         The wait is the timeout, or twice the longest latency heard of the unit if only this fits
         into a pause.
         """
-        rest_ns = self._on_line_ns(unit, pdu) + MARGIN_NS
+        rest_ns = self._transfer_ns(unit, pdu) + MARGIN_NS
         wait_ns = self.limits.timeout_ns
         known_ns = other.latency_ns(unit)
         if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
@@ -709,7 +711,7 @@ class SerialMaster(MasterLink):
         elif len(event.raw) >= FEW_BYTES:
             self._other.note_intrusion(event.ts_ns, self._doubt_ns)
 
-    def _on_line_ns(self, unit: int, pdu: bytes) -> int:
+    def _transfer_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with
         the silences around them.
         """

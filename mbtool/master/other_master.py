@@ -260,7 +260,7 @@ class OtherMaster:
         """True if the pause behind each poll was heard often enough to be relied on."""
         return all(len(one.pauses) >= LEAST_SEEN for one in self.polls.values())
 
-    def rest_ns(self, now_ns: int, unit: int | None = None) -> int:
+    def silence_left_ns(self, now_ns: int, unit: int | None = None) -> int:
         """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
         tells, or if a late answer of `unit` to the other master may come.
         """

@@ -260,7 +260,7 @@ class TcpWire(Wire):
         """Return a further connection to the same slave. Raises LinkError if it is refused."""
         return TcpWire(self._link, self.timeout_ns)
 
-    def rest_silent(self, silent_ns: int) -> bool:
+    def stay_silent(self, silent_ns: int) -> bool:
         """Send nothing for `silent_ns` ns, with keep-alive probes from one second on; False if the
         connection ends meanwhile.
 
@@ -315,12 +315,12 @@ class TcpWire(Wire):
         except OSError:
             self.close()
             return Heard(b"", (), 0, is_closed=True, was_closed=was_closed)
-        return self._heard(self._wait_ns(awaited), awaited, was_closed=was_closed)
+        return self._receive(self._wait_ns(awaited), awaited, was_closed=was_closed)
 
     def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
-        return self._heard(wait_ns, 1, since_ns=since_ns)
+        return self._receive(wait_ns, 1, since_ns=since_ns)
 
-    def _heard(
+    def _receive(
         self, wait_ns: int, awaited: int, *, was_closed: bool = False, since_ns: int | None = None
     ) -> Heard:
         raw, first_ns, is_closed = b"", 0, self._socket is None

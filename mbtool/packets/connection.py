@@ -147,7 +147,7 @@ class TcpConnection:
         return bool(requests.held or responses.held)
 
     @property
-    def rest(self) -> RestPlace | None:
+    def rest_place(self) -> RestPlace | None:
         """The next byte of both directions; None if the connection has ended or bytes wait."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):

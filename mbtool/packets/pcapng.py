@@ -140,7 +140,7 @@ class PcapngReader:
             if packet is not None:
                 yield packet
             header = self._stream.read(8)
-        packet = self.rest()
+        packet = self.incomplete_reads()
         if packet is not None:
             yield packet
 
@@ -174,7 +174,7 @@ class PcapngReader:
             self._read_head(body)
         return None
 
-    def rest(self) -> Packet | None:
+    def incomplete_reads(self) -> Packet | None:
         """At the end of the file, return the incomplete reads of lines and taps as a packet; None
         if there are none.
         """

@@ -253,21 +253,21 @@ def _numbers(one: NamedTransaction) -> Iterator[float]:
             yield point.value
             if not float(point.value).is_integer():
                 yield float(f"{point.value:.{_SHOWN_DIGITS}g}")
-                yield _as_shown(point.value)
+                yield _shown_number(point.value)
 
 
-def _as_shown(number: float) -> float:
+def _shown_number(number: float) -> float:
     """Return a number of a point as it is shown: one of 32 bits with its 7 digits, 23.4 and not
     23.399999618.
     """
     if float(number).is_integer():
         return number
     shown = float(f"{number:.7g}")
-    is_of_32_bits = abs(number) < _MOST_OF_32_BITS and _of_32_bits(number) == number
-    return shown if is_of_32_bits and _of_32_bits(shown) == number else number
+    is_of_32_bits = abs(number) < _MOST_OF_32_BITS and _rounded_to_32_bits(number) == number
+    return shown if is_of_32_bits and _rounded_to_32_bits(shown) == number else number
 
 
-def _of_32_bits(number: float) -> float:
+def _rounded_to_32_bits(number: float) -> float:
     return float(struct.unpack("f", struct.pack("f", number))[0])
 
 
@@ -283,7 +283,7 @@ def point_term(name: str, *, is_text: bool) -> Term:
             if point.name.casefold() == wanted:
                 if is_text:
                     return point.text
-                return None if point.value is None else _as_shown(point.value)
+                return None if point.value is None else _shown_number(point.value)
         return None
 
     kind = ValueKind.TEXT if is_text else ValueKind.NUMBER

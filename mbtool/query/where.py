@@ -164,7 +164,7 @@ class _Compiler:
             why = why or why_out_of_range(left_term, right_term, _SIGNS[type(one_operator)])
             if why is not None:
                 raise self._wrong(why)
-            compares.append(_of_endpoints(left_term, right_term, one_operator) or compare)
+            compares.append(_endpoint_comparison(left_term, right_term, one_operator) or compare)
 
         def holds(one: NamedTransaction) -> bool:
             values = [term.value(one) for term in terms]
@@ -334,7 +334,7 @@ def _wildcards(pattern: str) -> str:
     return "".join(signs.get(one) or re.escape(one) for one in pattern)
 
 
-def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
+def _endpoint_comparison(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
     """Return a function for the comparison of an endpoint with texts that may lack the port.
 
     An endpoint is an address with a port. Returns None for any other comparison, such as

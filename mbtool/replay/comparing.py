@@ -206,9 +206,9 @@ def _connection_differences(
         kinds = [[_kind(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])]
         several = link if len(pairs) > 1 else None
         if len(kinds[0]) == len(kinds[1]):
-            yield from _one_by_one(several, *kinds)
+            yield from _differences_one_by_one(several, *kinds)
         else:
-            yield from _by_kind(several, *kinds)
+            yield from _differences_by_kind(several, *kinds)
 
 
 def _kind(one: RecordedConnection, *, is_known: bool) -> str:
@@ -222,7 +222,9 @@ def _kind(one: RecordedConnection, *, is_known: bool) -> str:
     return one.text if is_known else (_RESET if one.is_reset else _IN_ORDER)
 
 
-def _one_by_one(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+def _differences_one_by_one(
+    link: str | None, a: Sequence[str], b: Sequence[str]
+) -> Iterator[Difference]:
     if Counter(a) == Counter(b):
         return
     for number, (one, other) in enumerate(zip(a, b, strict=True), 1):
@@ -236,7 +238,9 @@ def _one_by_one(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterato
             )
 
 
-def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+def _differences_by_kind(
+    link: str | None, a: Sequence[str], b: Sequence[str]
+) -> Iterator[Difference]:
     counts = Counter(a), Counter(b)
     kinds = sorted((counts[0].keys() | counts[1].keys()) - {_IN_ORDER})
     for kind in kinds:
@@ -248,12 +252,12 @@ def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[D
                 kind=Kind.CONNECTION,
                 link=link,
                 what=f"connection {first}",
-                a=Side(text=_share(kind, one, len(a)), count=one),
-                b=Side(text=_share(kind, other, len(b)), count=other),
+                a=Side(text=_share_text(kind, one, len(a)), count=one),
+                b=Side(text=_share_text(kind, other, len(b)), count=other),
             )
 
 
-def _share(kind: str, count: int, whole: int) -> str:
+def _share_text(kind: str, count: int, whole: int) -> str:
     return f"{kind}: {count:,} of {counted(whole, 'connection', ',')}"
 
 

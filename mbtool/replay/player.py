@@ -386,7 +386,7 @@ class RecordedSlave:
             if recorded.damaged is None or not self._with_damage:
                 return None
             delay_ns = self._delay_ns(unit, pdu[0], recorded.damaged.latency_ns)
-            return recorded.damaged.again(self._transport, delay_ns)
+            return recorded.damaged.with_same_damage(self._transport, delay_ns)
         answer = recorded.pdu
         is_good = answer[0] == pdu[0]
         request = parse_pdu(pdu, Direction.REQUEST)
@@ -447,13 +447,13 @@ class RecordedSlave:
         access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
             delay_ns = self._delay_ns(unit, pdu[0], None)
-            from_image = self._from_image(unit, request, access, pdu)
+            from_image = self._image_response(unit, request, access, pdu)
             if from_image is not None:
                 self.answered_from[AnsweredFrom.IMAGE] += 1
                 return Response(from_image, delay_ns)
             if unit in self._devices:
                 self.answered_from[AnsweredFrom.PROFILE] += 1
-                response = self._from_device(unit, request, access, pdu, now_ns)
+                response = self._device_response(unit, request, access, pdu, now_ns)
                 return None if response is None else replace(response, delay_ns=delay_ns)
         self.answered_from[AnsweredFrom.NOWHERE] += 1
         if self._on_miss is OnMiss.SILENT:
@@ -464,7 +464,7 @@ class RecordedSlave:
             code = _Code.ILLEGAL_DATA_VALUE if has_table else _Code.ILLEGAL_FUNCTION
         return Response(exception_pdu(request.code, code), self._delay_ns(unit, pdu[0], None))
 
-    def _from_image(
+    def _image_response(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes
     ) -> bytes | None:
         """Return the PDU of a response with the recorded values of the registers.
@@ -481,7 +481,7 @@ class RecordedSlave:
         values = [self._value(unit, access.table, address) or 0 for address in access.reads]
         return response_to(request, pdu, values)
 
-    def _from_device(
+    def _device_response(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
         """Return the simulated device's response to a request, None for no response. `pdu` is the

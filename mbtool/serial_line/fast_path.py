@@ -307,7 +307,7 @@ class FastPath:
             size = len(pdu) + 3
             if self._follows_response(data, size):
                 return FITTING_RESPONSE
-            return self._in_odd_run(Direction.RESPONSE, data, size)
+            return self._classification_in_odd_run(Direction.RESPONSE, data, size)
         if state.follows_damage or state.last_ns is None:
             return None
         bits = costs.UNREQUESTED_RESPONSE - costs.REQUEST
@@ -316,7 +316,7 @@ class FastPath:
             if history.trusts_silences:
                 return None
             bits -= min(history.repeat.bits, costs.REPEAT_AGAIN if state.is_repeat else bits)
-            odd = self._in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
+            odd = self._classification_in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
             if odd is not None:
                 return odd
         elif state.last_response == pdu:
@@ -347,7 +347,9 @@ class FastPath:
         count = self._count_ended_loop(data, size)
         return count % 2 == 1
 
-    def _in_odd_run(self, role: Direction, data: bytes, size: int) -> Classification | None:
+    def _classification_in_odd_run(
+        self, role: Direction, data: bytes, size: int
+    ) -> Classification | None:
         """Return `role` for a frame of `size` bytes in a run of an odd number of equal frames.
 
         One request of the run has no response, and nothing tells which. So each is as likely, and

@@ -209,8 +209,8 @@ class _SettingsReading:
 def _readings(heard_as: SerialFormat) -> list[_SettingsReading]:
     baud = heard_as.baud
     readings = [
-        _SettingsReading(LineSettings(heard_as), _as_heard),
-        _SettingsReading(LineSettings(heard_as, ascii=True), _as_heard),
+        _SettingsReading(LineSettings(heard_as), _unchanged_view),
+        _SettingsReading(LineSettings(heard_as, ascii=True), _unchanged_view),
     ]
     if heard_as.parity != "N":
         return readings
@@ -223,7 +223,7 @@ def _readings(heard_as: SerialFormat) -> list[_SettingsReading]:
     ]
 
 
-def _as_heard(data: bytes, damaged: Sequence[int]) -> View:
+def _unchanged_view(data: bytes, damaged: Sequence[int]) -> View:
     return data, len(damaged)
 
 

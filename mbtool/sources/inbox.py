@@ -166,7 +166,7 @@ class Inbox:
             if isinstance(item, Ended):
                 self._tell_losses()
             elif not self._has_room(item):
-                self._lose(item)
+                self._note_loss(item)
                 return False
             elif isinstance(item, StreamClosed):
                 self._tell_gaps(item.connection)
@@ -244,7 +244,7 @@ class Inbox:
         self._items.append(item)
         self._held += _cost(item)
 
-    def _lose(self, item: Item) -> None:
+    def _note_loss(self, item: Item) -> None:
         if isinstance(item, Quiet | Ended):
             return
         loss = self._losses.setdefault(_link(item), _Loss())

@@ -529,7 +529,7 @@ class TextLog:
             if before is None:
                 if len(self._befores) >= MAX_SHAPES:
                     self._befores.clear()
-                before = self._befores[shape] = _before(line, self._plans.get(shape))
+                before = self._befores[shape] = _line_before(line, self._plans.get(shape))
             is_of_bytes = before.has_bytes
             mark = mark or before.mark
             if ts_ns is None and before.time is not None:
@@ -596,7 +596,7 @@ class TextLog:
         )
 
 
-def _before(line: bytes, plan: _Plan | None) -> _Before:
+def _line_before(line: bytes, plan: _Plan | None) -> _Before:
     has_bytes = plan is not None and any(
         one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
     )

@@ -271,7 +271,7 @@ class Judge:
             replace(one, names_link=several)
             for one in self._cases.with_evidence(_unexplained(found))
         ]
-        return Judgement(_in_order(_joined(named)), links)
+        return Judgement(_sorted_worst_first(_joined(named)), links)
 
 
 def units_text(units: Collection[tuple[str, int]]) -> str:
@@ -352,7 +352,7 @@ def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
             yield replace(some[0], others=tuple(some[1 : MAX_OTHERS + 1]))
 
 
-def _in_order(troubles: Iterable[Trouble]) -> list[Trouble]:
+def _sorted_worst_first(troubles: Iterable[Trouble]) -> list[Trouble]:
     def rank(one: Trouble) -> tuple[int, int, float]:
         row = _ROWS.get(one.code, -1 if one.code.startswith("SEC") else len(_ROWS))
         return _SEVERITIES.index(one.severity), row, -one.weight

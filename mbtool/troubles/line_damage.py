@@ -364,10 +364,10 @@ class LineDamage(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _of_line(link.name, line, link.polls)
+                yield from _line_troubles(link.name, line, link.polls)
 
 
-def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
+def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
     if not doubles:
         doubles = [number for number, unit in line.units.items() if _has_two_slaves(line, unit)]

@@ -240,10 +240,10 @@ class LateOnLine(SortedSense):
                 unit = self._units.get((link.name, number))
                 if unit is not None:
                     line = self._lines[link.name]
-                    yield from _of_unit(link.name, number, unit, line, merged(some))
+                    yield from _unit_troubles(link.name, number, unit, line, merged(some))
 
 
-def _of_unit(
+def _unit_troubles(
     link: str, number: int, unit: _LateUnit, line: _LateLine, tally: RequestTally
 ) -> Iterator[Trouble]:
     is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)

@@ -317,7 +317,7 @@ def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
         found.append(line.stretch)
     pieces = line.damaged + sum(one.pieces for one in found)
     for one in found:
-        if one.pieces < _by_chance(pieces - one.pieces, line.frames):
+        if one.pieces < _chance_run_length(pieces - one.pieces, line.frames):
             continue
         whole = not line.answered
         when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
@@ -340,7 +340,7 @@ def _end_stretch(line: _StrayLine) -> None:
         line.damaged += stretch.pieces
 
 
-def _by_chance(damaged: int, right: int) -> float:
+def _chance_run_length(damaged: int, right: int) -> float:
     """Return the number of damaged frames in a row that usual noise causes with the probability
     CHANCE, on a line that has `damaged` and `right` frames in all.
     """

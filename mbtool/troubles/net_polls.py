@@ -109,13 +109,17 @@ class NetworkPolls(Sense):
         for link in links:
             if not link.is_serial and link.is_whole:
                 if self._cut[link.name] <= FEW_CUT * link.tally.transactions:
-                    yield from _one_side(link)
-                found = [*self._in_parts(link)]
+                    yield from _one_side_trouble(link)
+                found = [*self._delayed_parts_troubles(link)]
                 yield from found
                 told = {one.unit for one in found}
-                yield from (one for one in _delayed(link, self._cases) if one.unit not in told)
+                yield from (
+                    one
+                    for one in _delayed_polls_troubles(link, self._cases)
+                    if one.unit not in told
+                )
 
-    def _in_parts(self, link: LinkReport) -> Iterator[Trouble]:
+    def _delayed_parts_troubles(self, link: LinkReport) -> Iterator[Trouble]:
         for (name, who), parts in self._parts.items():
             if name != link.name or parts.delayed < max(ENOUGH, MOSTLY * parts.count):
                 continue
@@ -135,7 +139,7 @@ class NetworkPolls(Sense):
             )  # fmt: skip
 
 
-def _one_side(link: LinkReport) -> Iterator[Trouble]:
+def _one_side_trouble(link: LinkReport) -> Iterator[Trouble]:
     tally = link.tally
     whole, lacking = tally.transactions, tally.count(Outcome.NOT_CAPTURED)
     if lacking < ENOUGH or lacking < MOSTLY * whole or any(map(tally.count, RESPONDED)):
@@ -152,7 +156,7 @@ def _one_side(link: LinkReport) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _delayed(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
+def _delayed_polls_troubles(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
     by_unit: dict[int, list[PollStatistics]] = {}
     for one in link.polls:
         if one.poll.tally.latency.count >= ENOUGH:

@@ -210,11 +210,11 @@ def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
         number = latency.count_at_least(late_ns)
         one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns, (poll,))
         other = found.get(unit)
-        found[unit] = one if other is None else _with(other, one)
+        found[unit] = one if other is None else _joined_polls(other, one)
     return [*found.values()]
 
 
-def _with(one: LateUnit, other: LateUnit) -> LateUnit:
+def _joined_polls(one: LateUnit, other: LateUnit) -> LateUnit:
     """Return the late answers of two polls of a unit as one; the one with more tells the usual."""
     first = max(one, other, key=lambda each: each.number)
     return replace(

@@ -111,7 +111,7 @@ class Trouble:
     @property
     def words(self) -> Words:
         """Return the code's row of words.py; for a broken rule a row made of the rule."""
-        return WORDS.get(self.code) or _of_rule(self.code)
+        return WORDS.get(self.code) or _words_of_rule(self.code)
 
     @property
     def severity(self) -> Severity:
@@ -203,7 +203,7 @@ def moment_text(ns: int, *, is_long: bool) -> str:
     return f"{day(ns)} {clock_time(ns)[:5]}" if is_long else clock_time(ns)[:8]
 
 
-def _of_rule(code: str) -> Words:
+def _words_of_rule(code: str) -> Words:
     """Return the words of a broken rule of `check` (devices/checking/rules.py)."""
     rule = rule_of(code)
     meaning = "a rule that this version does not know" if rule is None else rule.meaning.rstrip(".")

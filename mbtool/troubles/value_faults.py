@@ -309,11 +309,11 @@ class ValueFaults(Sense):
         """Return the answers to a request that was answered for the first time, at `at_ns`."""
         poll = _FollowedAnswers()
         if len(self._polls) < MAX_POLLS:
-            poll = self._polls[key] = self._after_norm(key, at_ns) or poll
+            poll = self._polls[key] = self._continued_norm(key, at_ns) or poll
         poll.is_left_out |= not 0 < key.quantity <= 2000
         return poll
 
-    def _after_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
+    def _continued_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
         """Return a copy of the baseline's answers to a request; None if there is none.
 
         The name of a serial line is that of a port or file, so each serial line of the baseline

@@ -497,7 +497,7 @@ class Conformance:
         sent = wire.adu(self._unit, self._good)
         wire.send([sent])
         try:
-            is_open = wire.rest_silent(self._silent_ns)
+            is_open = wire.stay_silent(self._silent_ns)
         except LinkError as error:
             return _result(name, section, str(error), sent, Heard(b"", (), 0))
         heard = wire.send([sent])

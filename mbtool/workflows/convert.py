@@ -56,7 +56,7 @@ from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
 from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.undecoded_logs import heard
+from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class Conversion:
                 continue
             for path in group.paths:
                 with LogReader.open(path) as log, suppress(InputError):
-                    for item in heard(log):
+                    for item in evidence_and_events(log):
                         if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
                             yield item
 

@@ -212,7 +212,7 @@ class Scan:
                     at += size
                 else:
                     self._answers.clear()
-                    for first, end in self._within(unit, code, range(at, at + size)):
+                    for first, end in self._readable_parts(unit, code, range(at, at + size)):
                         self._add(unit, table, first, end)
                     at = at + size if self._can_more(unit) else addresses.stop
                 self.state.next_addresses[key] = at
@@ -245,7 +245,7 @@ class Scan:
         self._refuses_by_value.add((unit, code))
         return 0
 
-    def _within(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
+    def _readable_parts(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
         """Yield the parts of a refused block that can be read, as first address and end."""
         if self._every:
             yield from self._halves(unit, code, block)

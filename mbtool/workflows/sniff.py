@@ -162,7 +162,7 @@ class Sniffer:
     def __exit__(self, *error: object) -> None:
         is_interrupted = error[:1] == (KeyboardInterrupt,)
         try:
-            for _record in self._rest(lambda: is_interrupted):
+            for _record in self._received_before_end(lambda: is_interrupted):
                 pass  # The caller does not want the record, but `_rest` has logged it.
         finally:
             if self._recorder is not None:
@@ -193,7 +193,7 @@ class Sniffer:
                     self._on_remark(str(item.error))
             elif item is not None:
                 yield from self._take(item)
-        yield from self._rest(is_hurried)
+        yield from self._received_before_end(is_hurried)
         for remark in self._missing.remarks:
             self._on_remark(remark)
         if lost is not None and not self._open:
@@ -235,7 +235,7 @@ class Sniffer:
         elif event.kind is EventKind.GAP:
             self._on_remark(event.message)
 
-    def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
+    def _received_before_end(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
         """Close the sources, decode all that they had received, and yield the transactions and
         events.
 

@@ -103,7 +103,9 @@ class ScanRules:
         """A host that connects to an address and does not ask it again for so long (ns) does not
         poll it."""
         self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
-        self._units = Unpolled("SEC-202", _as_is, limits.unit_scan, cases, most_ordinary=MOST_UNITS)
+        self._units = Unpolled(
+            "SEC-202", _unchanged_case, limits.unit_scan, cases, most_ordinary=MOST_UNITS
+        )
         self._functions = Unpolled("SEC-203", _function_case, limits.function_scan, cases)
         self._registers = Unpolled("SEC-204", _register_case, limits.register_scan, cases)
         self._end_ns = 0
@@ -121,7 +123,7 @@ class ScanRules:
         `source` is the master's IP address and `slave` the slave's HOST:PORT. On a serial line,
         both are the name of the line. `profile` is the slave's; None if it has none.
         """
-        self._heard(source, transaction.start_ns)
+        self._note_sender(source, transaction.start_ns)
         is_polled = self._units.is_polled((source, slave), transaction.unit)
         is_refused = transaction.exception in _REFUSED_ADDRESS
         is_missing = not is_refused and _is_missing(transaction, profile)
@@ -181,7 +183,7 @@ class ScanRules:
             if exception < 0 and not is_unpolled:
                 continue
             source, slave = host_of(one.source), one.destination
-            self._heard(source, one.at_ns)
+            self._note_sender(source, one.at_ns)
             asked = _UnitRequest(
                 source,
                 slave,
@@ -206,7 +208,7 @@ class ScanRules:
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
         source, host = host_of(event.source), host_of(event.destination)
-        self._heard(source, event.ts_ns)
+        self._note_sender(source, event.ts_ns)
         if event.message.startswith(CONNECTION_JOINED):
             return
         self._hosts.note(
@@ -228,7 +230,7 @@ class ScanRules:
         self._functions.close()
         self._registers.close()
 
-    def _heard(self, source: str, at_ns: int) -> None:
+    def _note_sender(self, source: str, at_ns: int) -> None:
         self._end_ns = max(self._end_ns, at_ns)
         if source not in self._first_heard_ns and len(self._first_heard_ns) < MAX_HOSTS:
             self._first_heard_ns[source] = at_ns
@@ -318,7 +320,7 @@ def _bare(transaction: NamedTransaction) -> NamedTransaction:
     )
 
 
-def _as_is(case: tuple[str, Finding]) -> tuple[str, Finding]:
+def _unchanged_case(case: tuple[str, Finding]) -> tuple[str, Finding]:
     return case
 
 

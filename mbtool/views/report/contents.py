@@ -266,7 +266,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     were counted, `counted` the number of these units.
     """
     timed = {link.name for link in contents.judgement.links if link.has_times}
-    known = [unit for unit in _in_order(contents) if unit.key.link in timed]
+    known = [unit for unit in _ordered_units(contents) if unit.key.link in timed]
     links = _sorted_links(contents)
     return {
         "begin": bins.begin_ns / 1e9,
@@ -282,7 +282,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     }
 
 
-def _in_order(contents: ReportContents) -> list[UnitAccount]:
+def _ordered_units(contents: ReportContents) -> list[UnitAccount]:
     """Return the units in the one order that tables and charts of the page have: the sick ones, the
     worst first, then those with the most requests.
     """
@@ -298,7 +298,7 @@ def _in_order(contents: ReportContents) -> list[UnitAccount]:
 
 def _links_in_order(contents: ReportContents) -> dict[str, int]:
     """Return the place of each link in the order of its first unit."""
-    names = dict.fromkeys(unit.key.link for unit in _in_order(contents))
+    names = dict.fromkeys(unit.key.link for unit in _ordered_units(contents))
     return {name: place for place, name in enumerate(names)}
 
 
@@ -422,7 +422,9 @@ def _last(series: ValueSeries) -> str:
 
 def _places(contents: ReportContents) -> dict[tuple[str, int | None], int]:
     """Return the place of each unit, by link and unit, in the order of the page."""
-    return {(one.key.link, one.key.unit): place for place, one in enumerate(_in_order(contents))}
+    return {
+        (one.key.link, one.key.unit): place for place, one in enumerate(_ordered_units(contents))
+    }
 
 
 def _inventory(contents: ReportContents) -> dict[str, Any]:

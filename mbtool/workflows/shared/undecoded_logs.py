@@ -129,7 +129,7 @@ class LogRemarks:
         return [path for path in self._paths if not place_of(path)[1]]
 
 
-def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
+def evidence_and_events(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the packets and chunks of a log, and those events that decoding them again cannot find,
     such as errors of a port. Each event comes at its place in time.
     """
