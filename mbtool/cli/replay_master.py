@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SIDES = ("recorded", "answered")
 _NAMED = 3
-"""So many requests whose answers came too late are named in the last line."""
+"""The last line names at most this many requests whose answers came too late."""
 
 
 def play_as_master(file: str, to: LinkSpec, options: MasterOptions, chosen: AsMasterOptions) -> int:

@@ -33,8 +33,8 @@ MIN_FILES, MAX_FILES = 4, 16
 """The least and the greatest number of files that one decoder decodes in a row. With fewer, too
 many files would be read twice. With more, too much work would be lost if the process is killed."""
 MAX_RUN_BYTES = 512 * 1024 * 1024
-"""A run (files that one decoder decodes in a row) ends after the file with which it reaches so many
-bytes. This bounds the disk space for copies of files from an object store."""
+"""A run (files that one decoder decodes in a row) ends after the file with which it reaches this
+many bytes. This bounds the disk space for copies of files from an object store."""
 NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
 """Before and after a run (the files that one decoder decodes), further files are read until they
 have NEAR_BYTES bytes together, at most MAX_NEAR files. Of each file after the run, only the first

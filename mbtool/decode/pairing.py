@@ -493,7 +493,7 @@ def _may_echo(pending: Adu, request: Adu) -> bool:
 #
 # A request stays open until its unit answers a later request, until the unit has left more than
 # MAX_OF_UNIT requests in a row without a response, or until the caller takes it out as too old. A
-# unit that has left so many requests unanswered counts as switched off: its further requests stay
+# unit that has left that many requests unanswered counts as switched off: its further requests stay
 # open only if a second master may have sent the next request while the first one still waited.
 #
 # Memory: MAX_OPEN requests, and one record of times for each of at most 247 units.

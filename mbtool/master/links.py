@@ -522,7 +522,7 @@ class SerialMaster(MasterLink):
         )
         self._arrivals = SerialArrivals(link.format.character_ns)
         self._doubt_ns = 0
-        """The error of the time of the last read, in ns: its bytes may have come so much later."""
+        """The error of the time of the last read (ns): its bytes may have come this much later."""
         self._pending: tuple[int, int] | None = None
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""

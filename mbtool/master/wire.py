@@ -51,7 +51,7 @@ _KEEP_ALIVE = (("TCP_KEEPIDLE", 1), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 1))
 """A probe is sent after one second of silence (s); one that is not answered for a second ends the
 connection."""
 _SHOWN = 32
-"""So many bytes of a damaged answer are shown."""
+"""A text shows at most this many bytes of a damaged answer."""
 
 
 class HeardAdu(NamedTuple):

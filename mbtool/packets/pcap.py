@@ -35,7 +35,8 @@ MAX_CAPTURED = 256 * 1024
 SEARCHED = 1024 * 1024
 """Behind damage, the next record is searched in this many bytes."""
 _NEAR_S = 24 * 3600
-"""The next record behind damage is at most so many seconds earlier or later than the last one."""
+"""Bytes behind damage are taken for a record only if its time differs by at most this (s) from that
+of the last record."""
 _MAX_ORIGINAL = 16 * 1024 * 1024
 """The most bytes that a packet had on the wire, for the search; hardware that joins TCP segments
 makes packets of up to some hundred kB."""

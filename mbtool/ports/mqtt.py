@@ -37,7 +37,7 @@ _USER = re.compile(r"^(\w*://)?.*@", re.DOTALL)
 """The user and the password in a URL, which no error repeats, also not one of a wrong URL."""
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _END_S = 2.0
-"""At the end, messages that wait are still published for so long (s)."""
+"""At the end, messages that wait are still published for this time (s)."""
 
 
 @dataclass(frozen=True, slots=True)

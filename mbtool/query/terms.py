@@ -291,7 +291,8 @@ def point_term(name: str, *, is_text: bool) -> Term:
 
 
 _SHOWN_DIGITS = 6
-"""A number of a point equals one with so many digits if it rounds to it: 23.4 is 23.399999618."""
+"""A number of a point also equals the number that it gives when rounded to this many digits: 23.4
+equals 23.399999618."""
 _WORD = range(0x10000)
 _ADDRESS = ValueKind.NUMBER
 

@@ -52,8 +52,9 @@ class _Planned:
 
     recorded: RecordedConnection
     ends_after: tuple[str, int] | None = None
-    """The cause of the slave's ending: `asked` (the last of so many requests of this connection),
-    `opened` or `ended` (the connection of this number). None if the slave did not end it."""
+    """The cause of the slave's ending: `asked` (this connection has had the given number of
+    requests), `opened` or `ended` (the connection with the given number). None if the slave did not
+    end it."""
     delay_ns: int = 0
     """The time (ns of the recording) from the cause to the ending."""
     closed_ns: dict[str, int] = field(default_factory=dict)

@@ -183,7 +183,7 @@ class LiveWrites:
 
 BROADCAST_UNIT = 0
 MAX_UNRECORDED = 1000
-"""At most so many different requests that were never recorded are counted."""
+"""At most this many different requests that were never recorded are counted."""
 _LOOP_GAP_NS = 1_000_000_000
 """If a recording of length 0 ns (such as a single request) is played in a loop, each lap takes this
 long (ns of recorded time)."""

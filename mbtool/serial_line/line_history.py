@@ -47,10 +47,10 @@ class LineHistory:
         self.hears_silences = False
         """True once a silence of t3.5 was heard between two frames or inside one."""
         self.merges_briefly = False
-        """True if the adapter merges frames, but never for so long that a request and its retry
-        come as one burst."""
+        """True if the adapter merges frames, but never holds bytes back until a retry: a request
+        and its retry come as two bursts."""
         self.may_merge_long = False
-        """True if the adapter merges frames, and may hold bytes back for so long: then a silence
+        """True if the adapter merges frames, and may hold bytes back until a retry: then a silence
         before a frame may be the adapter's."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()

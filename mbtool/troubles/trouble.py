@@ -91,7 +91,8 @@ class Trouble:
     is_long: bool = False
     """True if the recording takes a day or longer, so that times need a date."""
     is_small: bool = False
-    """True if so few are concerned that it is a note, whatever the code's severity is."""
+    """True if the trouble is shown as a note, whatever the code's severity: few requests are
+    concerned."""
     figures: Mapping[str, str] = field(default_factory=dict)
     """The texts for the names in the templates of the code's words."""
     weight: float = 0.0

@@ -56,18 +56,20 @@ _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
 MOST_SILENT = 3
-"""After so many requests in a row without an answer other signs of life are looked for."""
+"""After this many requests in a row without an answer, other requests are sent to see if the slave
+lives."""
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
 _LATE_NS = 3_000_000_000
-"""An answer that does not come in time is awaited for this time (ns) more, to tell a late one."""
+"""An answer that does not come in time is waited for this much longer (ns), to tell a late one from
+none."""
 _LONGEST_PAUSE_NS = 60_000_000
-"""A longer pause (ns) inside an answer is none of an adapter, which delivers bytes at least each
-16 ms."""
+"""A longer pause (ns) inside an answer is the slave's: an adapter delivers bytes at least every 16
+ms."""
 _RECOVERIES = 8
-"""After wrong bytes, right requests are sent until one is answered, at most so many."""
+"""After wrong bytes, right requests are sent until one is answered, at most this many."""
 _TRIES = 3
-"""What a slave makes of a pause inside or before a frame counts if it is so each of so many times:
-a slave on a busy computer may not see the pause."""
+"""The answer to a frame with a pause inside or before it counts only if it is the same each of this
+many times: a slave on a busy computer may not see the pause."""
 _PAUSES = 8
 """An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
 times, a machine with 22 processes for 2 cores made a false one."""
@@ -76,10 +78,10 @@ _TORN_NS = 60_000_000
 _ASCII_PAUSE_NS = 500_000_000
 """A pause, in ns, that the standard allows inside a frame in ASCII: up to one second."""
 _RESOLUTION_NS = 1_000_000
-"""A USB adapter sends what it is given at most so much later (ns). A pause is only tested if it may
-be this much longer or shorter."""
+"""A USB adapter sends the bytes that it is given at most this much later (ns). So a pause is tested
+only if it is at least this much shorter or longer than t1.5 and t3.5."""
 _CONNECTIONS = 8
-"""So many connections are opened at once."""
+"""The number of connections that are opened at the same time."""
 SILENT_NS = 3_000_000_000
 """A connection that is silent for this time (ns) must still be there, or have been closed."""
 _FREED_S = 0.1
@@ -87,8 +89,8 @@ _FREED_S = 0.1
 
 
 _MOST_LOST = 2
-"""On a serial line so many requests of a run may be lost, which are answered when they are asked
-again: noise, or a pause of a busy machine inside a request, loses one, too."""
+"""On a serial line, a run may lose at most this many requests that are answered when they are sent
+again: noise, or a pause of a busy machine inside a request, can lose one."""
 _ANSWERS = "the unit answers"
 _NO_ANSWER = "no answer"
 

@@ -54,16 +54,17 @@ _PROBES = (
 )
 _IDENTIFICATION = _PROBES[2]
 _LEAST_SAME = 4
-"""If so many units of a TCP link give the same answers, one device answers for all."""
+"""If at least this many units of a TCP link give the same answers, one device answers for all."""
 _Unit = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Address = Annotated[int, msgspec.Meta(ge=0, le=0x10000)]
 _VALUES, _NOTHING = 0, -1
-"""How a read ended, beside exception codes: with values; without an answer of any use."""
+"""The ways in which a read ended, beside exception codes: with values, or without a useful
+answer."""
 _ILLEGAL_FUNCTION, _ILLEGAL_VALUE, _DEVICE_FAILURE = 0x01, 0x03, 0x04
 _TRIES = 3
 FAILURES = 8
 MOST_SILENT = 3
-"""So many requests in a row without an answer end the scan of a unit that answered before."""
+"""This many requests in a row without an answer end the scan of a unit that answered before."""
 
 
 class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
@@ -268,7 +269,7 @@ class Scan:
         """Return the last address that can be read from `seed` on, upwards or downwards, within
         the addresses of `rest`, which begin or end beside `seed`.
         """
-        least, most = 0, len(rest)  # so many addresses of `rest` can be read
+        least, most = 0, len(rest)  # The number of readable addresses of `rest` is between these.
         while least < most:
             middle = (least + most + 1) // 2
             first = seed if step > 0 else seed - middle

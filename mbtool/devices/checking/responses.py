@@ -51,7 +51,7 @@ PATIENCE_NS = 5_000_000_000
 response that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
-"""If the capture ends less than so many ns after a request, the response may have come after the
+"""If the capture ends less than this (ns) after a request, the response may have come after the
 capture's end."""
 
 USUAL = 0.25
@@ -377,7 +377,7 @@ def _request_bytes(transaction: NamedTransaction) -> bytes:
 # sliding_window.py).
 
 _SHOWN = 16
-"""At most so many bytes of a frame are shown."""
+"""A text shows at most this many bytes of a frame."""
 
 
 class DamagedFrames:

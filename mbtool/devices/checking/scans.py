@@ -100,8 +100,8 @@ class ScanRules:
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._first_time_ns = limits.identification.window_ns
         self._turn_ns = limits.host_scan.window_ns
-        """A host that connects to an address and does not ask it again for so long (ns) does not
-        poll it."""
+        """A host that connects to an address and does not ask it again within this time (ns) does
+        not poll it."""
         self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
         self._units = Unpolled(
             "SEC-202", _unchanged_case, limits.unit_scan, cases, most_ordinary=MOST_UNITS

@@ -7,7 +7,7 @@
 #     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)
 #     1029H      a block of nine counters (Counter); writing 55AAH or AA55H clears them
 #     102AH      the number of open connections
-#     1030H      a connection is closed after so many ms without a request; 0 means never
+#     1030H      a connection is closed after this many ms without a request; 0 means never
 #     100BH      writing 1 saves time and mask of the watchdog, which then survive a restart
 #     2040H      writing 55AAH or AA55H restarts: outputs 0, settings as at the start or as saved,
 #                counters 0, watchdog off

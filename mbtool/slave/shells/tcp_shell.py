@@ -13,8 +13,8 @@
 #
 #     connections   a connection beyond this number is closed at once, and counted, unless another
 #                   one has been open for a second without a request: then that one is closed
-#     idle          a connection without a complete request for so long is closed
-#     waiting       a connection with so many pending responses is not read
+#     idle          a connection without a complete request for this time is closed
+#     waiting       a connection with this many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
 # For a while after a remote reset, an FA3 module accepts no connections. Its port then stays bound
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 # request for idle_s is closed. If the last part of a request does not come within split_s of its
 # first part, the request is dropped and the connection closed.
 #
-# Memory: one incomplete request, and the responses to Bounds.waiting requests. While so many
+# Memory: one incomplete request, and the responses to Bounds.waiting requests. While that many
 # responses are pending, or the master does not read them, the socket is not read. The last read
 # before may still add responses: READ_BYTES / 8 on Modbus/TCP, whose shortest ADU has 8 bytes, and
 # READ_BYTES / 4 with RTU frames, whose shortest has 4.

@@ -53,8 +53,9 @@ MAX_ROWS = 1000
 MAX_CASES = 5
 MAX_BINS = 300
 REQUESTS_IN_BIN = 5
-"""A bin of a chart is at least so many requests wide in the mean. Narrower ones would show single
-requests, as a comb; much wider ones would leave a capture of 100 requests only a few."""
+"""A chart has at most as many bins as give each this many requests in the mean. Narrower bins would
+show single requests, as a comb; much wider ones would leave a capture of 100 requests only a
+few."""
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {

@@ -142,9 +142,9 @@ def evidence_and_events(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
 def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the items in an order in which each event stands before the later evidence of its link.
 
-    The log has an event only after the decoder has passed it on, so often behind later evidence. An
-    event about lost bytes ends the frame that is being decoded. If it came too late, it would end a
-    later frame.
+    The log has an event only after the decoder has passed it on, and often behind later evidence.
+    An event about lost bytes ends the frame that is being decoded. If it came too late, it would
+    end a later frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:

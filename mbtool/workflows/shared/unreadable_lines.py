@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 MIN_BYTES = ENOUGH_WITHOUT_FRAME
 MAX_READ_SHARE = LIKELY_FIT
 ANSWERED = 5
-"""The settings are right if at least so many requests, and half of all, are answered, whatever else
-is on the line."""
+"""If at least this many requests, and half of all, are answered, the line settings are not called
+wrong, whatever else is on the line."""
 SAMPLE_BYTES = SOON_BYTES = ENOUGH
 SOON_NS = 3_000_000_000
 
