@@ -424,14 +424,14 @@ class _ProtocolCandidate:
             ConnectionDecoder, connection, rtu=rtu, joined=joined, timed=timed
         )
         self._splitters: _Splitters | None = None
-        """Splitters of both directions that look for the first ADU; None once it was found, and if
-        the protocol is expected. What came before it is decoded only then: to pair what another
-        protocol's connection lacks would take long."""
+        """The splitters of both directions that look for the first ADU. None once an ADU was found,
+        and if the protocol is expected: then all bytes go to the decoder."""
         if not (expected or connection.is_udp):
             self._splitters = {each: stream_splitter(each, rtu=rtu) for each in OTHER}
         self._postponed: list[Callable[[], list[Decoded]]] = []
-        """Calls of the decoder with what came before the first ADU; they hold no more than
-        MAX_UNDECIDED_BYTES."""
+        """Calls of the decoder with the bytes before the first ADU, of at most MAX_UNDECIDED_BYTES
+        in all. They are made once an ADU was found: for another protocol, they would take time in
+        vain."""
         self.decoded: list[Decoded] = []
         """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False

@@ -95,9 +95,11 @@ class Forecast:
     cycle_ns: int
     busy_ns: int
     with_unit_ns: int
-    """The time in ns that one more unit, asked as those of the list are, adds to the cycle."""
+    """The time (ns) by which a cycle would be longer with one more unit that is asked like the
+    others."""
     at_bauds: tuple[tuple[int, int], ...]
-    """Faster baud rates, each with how much shorter it takes: only characters become shorter."""
+    """Pairs of a faster baud rate and the time (ns) by which a cycle would be shorter: only the
+    time of the characters becomes shorter."""
     waits: bool
 
 

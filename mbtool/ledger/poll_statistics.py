@@ -101,7 +101,7 @@ class PollStatistics:
         tally: RequestTally | None = None,
     ) -> None:
         self.use = use
-        """The use of the poll's function; its unit and its master are there."""
+        """The counts of the poll's function, with its unit and its master."""
         self.number = number
         """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key

@@ -529,7 +529,7 @@ class SerialMaster(MasterLink):
         self._other: OtherMaster | None = None
         """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
-        """The number of requests that were sent in its pauses."""
+        """The number of requests that were sent in pauses of the other master."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None

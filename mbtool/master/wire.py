@@ -73,13 +73,15 @@ class Heard(NamedTuple):
     is_closed: bool = False
     """True if the slave closed the TCP connection."""
     was_closed: bool = False
-    """True if it had closed it before the bytes were sent, so that a new one was opened."""
+    """True if the slave had closed the connection before the bytes were sent, so that a new one was
+    opened."""
     longest_pause_ns: int = 0
     """The longest silence inside the answer that was surely heard, in ns; 0 on TCP."""
     rest: bytes = b""
-    """What came behind the last ADU on TCP and in ASCII."""
+    """The bytes behind the last ADU, on TCP and in ASCII."""
     made_pause_ns: int = 0
-    """The longest that the pause between the pieces sent on a serial line can have been, in ns."""
+    """The longest time (ns) for which the pause between the pieces sent on a serial line can have
+    lasted."""
 
 
 class Wire(ABC):

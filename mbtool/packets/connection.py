@@ -57,10 +57,10 @@ from mbtool.packets.stream_events import (
 )
 
 PATIENCE = 3
-"""If the capture swapped two packets of a connection, at most this many other packets of the
-connection lie between the two."""
+"""Bytes behind a hole wait for this many further segments of the connection: if the capture swapped
+two packets, at most this many lie between them."""
 PATIENCE_NS = 100_000_000
-"""If the capture swapped two packets, at most this time in ns lies between the two."""
+"""Bytes behind a hole wait at most this long (ns) for a swapped packet."""
 SYN_PATIENCE_NS = 1_000_000_000
 """A SYN that nobody answered counts as unanswered only if the connection's last sign is this long
 (ns) after it: a master waits at least 1 s before it sends a SYN again (RFC 6298, 2)."""

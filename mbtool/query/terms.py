@@ -26,7 +26,7 @@ from mbtool.modbus import FUNCTIONS
 _WITH_UNIT = re.compile(r"(?P<host>.+)/(?P<unit>[0-9]{1,3})")
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
 WRONG_CRC = 'a response with a wrong CRC or LRC is found among outcome == "no-answer"'
-"""For the user who looks for such responses."""
+"""The advice for a user whose expression names a CRC or LRC, which no field has."""
 
 
 class ValueKind(StrEnum):

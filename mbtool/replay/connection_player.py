@@ -38,12 +38,15 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import ConnectionEnding
 
 CAUSE_NS = 1_000_000_000
-"""If a slave ends a connection at most this time (ns) after another one opened, it made room."""
+"""If a slave ended a connection at most this long (ns) after another one opened, that opening is
+the cause: the slave made room for it."""
 TOGETHER_NS = 100_000_000
-"""Connections that a slave ends within this time (ns) are ended for one reason, such as a reset."""
+"""If a slave ended a connection at most this long (ns) after another one, the end of the other one
+is the cause: both have one reason, such as a reset."""
 LEAST_IDLE_S = 600.0
 _SPARE_IDLE = 2.0
-"""A live connection may be idle for this many times as long as the recorded ones were."""
+"""A live connection is closed if it is idle for this many times the duration of the longest
+recorded one, and for at least LEAST_IDLE_S."""
 
 
 @dataclass(slots=True)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 LISTEN_S = 10
 """The longest time in seconds for which a setting is tried without a pause, if bytes come."""
 SILENCE_S = 60
-"""A line on which nothing is heard for this long (s) ends the search, unless the user says how long
+"""The search ends if nothing is heard on the line for this long (s), unless the user says how long
 to wait."""
 WAIT_S = 15 * 60
 """The search ends after this time (s), unless the user says how long to wait."""
@@ -57,7 +57,7 @@ _LONGER = 1.5
 """A setting is given up if no byte comes for this many times the longest silence between bursts so
 far, and for at least LISTEN_S."""
 _TOLD_NS = 5_000_000_000
-"""The user is told how far the search is at most this often, in ns."""
+"""The least time (ns) between two messages that say how far the search is."""
 
 
 def guess_line(

@@ -324,7 +324,8 @@ _HINTS = (b"00 00", b"0x0", b"00000000", b"00  00", b"[00", b"\\", b"00h", b"00 
 """Texts of which a line with bytes has at least one, after _SEPARATORS has translated it, unless it
 ends with a byte or has several commas or dashes. They are found faster than MAY_BE_BYTES."""
 _BEFORE_LAST = b":=>]"
-"""A single byte at the end of a line is at its front, or behind one of these."""
+"""The signs, besides the front of the line, behind which a single byte at the end of a line may
+stand."""
 _UNIMPORTANT = re.compile(rb"[0\s]+")
 _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
 _ESC = b"\x1b"

@@ -180,7 +180,7 @@ class _DamagedLine:
     interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
     """The waits (ns) of requests that another request interrupted before the usual answer."""
     responses: deque[int] = field(default_factory=lambda: deque(maxlen=HELD))
-    """When the last responses came (ns)."""
+    """The times (ns) of the last responses."""
     late: int = 0
     """The number of late answers, which make a master go on sooner, too."""
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))

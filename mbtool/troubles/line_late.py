@@ -82,9 +82,10 @@ class _LateUnit:
     missing: int = 0
     latencies: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
-    """How long the master waited for answers that did not come in time."""
+    """The times (ns) from requests without an answer in time to the master's next request."""
     paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=TIMES))
-    """Of answered requests, the latency and the time to the next request."""
+    """Pairs of times (ns) of answered requests: the latency, and the time from request to next
+    request."""
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
     wakes: int = 0
@@ -112,13 +113,13 @@ class _Wake:
 @dataclass(slots=True)
 class _LateLine:
     last: NamedTransaction | None = None
-    """The transaction whose next request is not known yet."""
+    """The last transaction; it is judged once the master's next request is known."""
     pending: list[NamedTransaction] = field(default_factory=list)
     """Late transactions whose response is not reached yet."""
     requests: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    """When the last requests were sent (ns)."""
+    """The times (ns) of the last requests."""
     damage: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    """When the last damaged frames came (ns)."""
+    """The times (ns) of the last damaged frames."""
     damaged: int = 0
     units: set[int] = field(default_factory=set)
     wakes: list[_Wake] = field(default_factory=list)

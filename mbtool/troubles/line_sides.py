@@ -59,7 +59,7 @@ class _SidedLine:
     other_requests: int = 0
     """The number of requests with a function whose response never looks like a request."""
     last_ns: int = 0
-    """When the last request was sent (UTC ns)."""
+    """The time (UTC ns) of the last request."""
     soon: int = 0
     """The number of requests that came less than SHORTEST_TIMEOUT_NS after the one before: no
     master gives up a request within this time."""

@@ -106,7 +106,7 @@ class _StrayLine:
     pieces: int = 0
     piece_bytes: int = 0
     piece_ns: int | None = None
-    """When the last piece came; None if a frame came since."""
+    """The time (ns) of the last piece; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
     """The number of pieces by their first two bytes."""
     own_heads: set[bytes] = field(default_factory=set)

@@ -169,9 +169,11 @@ class _MasterTalk:
     )
     """The last transactions, and when each began."""
     overlaps: int = 0
-    """How often a request came while another one was not answered yet, until `late` is full."""
+    """The number of requests that came while another one had no answer yet, counted until `late` is
+    full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
-    """Transactions whose answer came after the next request, and how long the master waited."""
+    """Pairs of a transaction whose answer came after the next request, and the time (ns) from it to
+    that request."""
 
 
 class Gateways(Sense):

@@ -65,9 +65,9 @@ class _SeenHost:
     """True if it talked with a host of its own network."""
     link: str = ""
     slave_ns: int | None = None
-    """When it first answered as a slave."""
+    """The time (UTC ns) of its first answer as a slave."""
     master_ns: int | None = None
-    """When it first sent a request."""
+    """The time (UTC ns) of its first request."""
     requests: int = 0
     asked: str = ""
     """The slave that it asked first."""

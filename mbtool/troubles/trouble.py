@@ -81,7 +81,7 @@ class Trouble:
     master: str = ""
     """The master's host, where the trouble is a master's; empty on a serial line."""
     count: int = 1
-    """How many requests, frames or connections have the trouble."""
+    """The number of requests, frames or connections that have the trouble."""
     of: int = 0
     """Out of how many in the same time; 0 if there is nothing to compare with."""
     since_ns: int | None = None
@@ -103,7 +103,7 @@ class Trouble:
     search: str = ""
     """The filter that finds the cases in the table of a report; empty for the link's or unit's."""
     others: tuple[Trouble, ...] = ()
-    """The same trouble of other units, links or masters, the worst first."""
+    """The troubles with the same code of other units, links or masters, the worst first."""
     victims: tuple[int, ...] = ()
     """The units whose troubles this one explains, if they are others than `unit`."""
     names_link: bool = False

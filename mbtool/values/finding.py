@@ -168,7 +168,8 @@ class _Idea(NamedTuple):
     step: float
     """The usual change from one row to the next."""
     drift: float
-    """How far the value may be from those of the recording, a little before it or after it."""
+    """The distance that the value may have from those of the recording, shortly before or after
+    it."""
     middle: float
     reach: float
     """No value that is farther from the middle than this is looked at."""

@@ -65,12 +65,14 @@ class Rest(NamedTuple):
     end_ns: int | None
     """None if it has not changed until now."""
     others: int
-    """How often other values changed meanwhile."""
+    """The number of changes of other values during this rest."""
     value: float
 
 
 class Occurrence(NamedTuple):
-    """How often something was seen, and first when and as which number."""
+    """The number of answers with a certain number, the time of the first one (UTC ns), and the
+    number in it.
+    """
 
     answers: int
     at_ns: int

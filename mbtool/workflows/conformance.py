@@ -83,7 +83,7 @@ only if it is at least this much shorter or longer than t1.5 and t3.5."""
 _CONNECTIONS = 8
 """The number of connections that are opened at the same time."""
 SILENT_NS = 3_000_000_000
-"""A connection that is silent for this time (ns) must still be there, or have been closed."""
+"""The time (ns) for which a TCP connection is left silent before it is used again."""
 _FREED_S = 0.1
 """A slave has this time (s) to notice that connections were closed; several times over."""
 

@@ -135,7 +135,8 @@ class Scan:
         self._silent = 0
         """The number of requests without an answer since the last answer."""
         self._answers: set[int] = set()
-        """How the reads of the last refused block ended."""
+        """The results of the reads in the last refused block: exception codes, _VALUES or
+        _NOTHING."""
         self._limits: dict[tuple[int, int], int] = {}
         """The longest block that a unit lets read, by unit and function code."""
         self._longest: dict[tuple[int, int], int] = {}

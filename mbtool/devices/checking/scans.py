@@ -60,8 +60,8 @@ MOST_UNITS = 64
 answer. A gateway has fewer; a device that ignores the unit answers for every one."""
 
 IDENTIFIED_NS = 10_000_000_000
-"""A master that identifies its slaves before it polls them begins to poll within this time. A scan
-asks for nothing else."""
+"""A host that only asked for identifications counts as scanning if it sends no other request within
+this time (ns): a master that identifies its slaves first begins to poll sooner."""
 
 _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 """Outcomes of requests that the slave may have answered as asked."""
