@@ -85,7 +85,7 @@ def find(
     from mbtool.devices import parse_who
     from mbtool.values.sightings import parse_seen, parse_table
 
-    sources, texts = _divided(arguments)
+    sources, texts = _sources_and_numbers(arguments)
     who = parse_who(unit) if unit is not None else None
     seen = [parse_seen(text) for text in texts]
     if values is not None:
@@ -105,7 +105,7 @@ def find(
     )  # fmt: skip
 
 
-def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def _sources_and_numbers(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files or links, and numbers.
 
     The first one is a file or link; the numbers begin with the first of the others that is none.

@@ -79,7 +79,7 @@ def plot(
     from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
-    files, texts = _divided(arguments)
+    files, texts = _files_and_references(arguments)
     files = named_files(files)
     if output is not None and not texts:
         raise UsageError("name what to plot behind the files; without --output they are listed")
@@ -120,7 +120,7 @@ def plot(
         raise run.error
 
 
-def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def _files_and_references(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files and references to plot.
 
     The first argument is always a file. The references begin with the first of the others that is

@@ -178,11 +178,11 @@ class BlockLines:
         new = np.flatnonzero(is_new & ~is_rare)
         made = objects.chosen(chosen[first[new]])
         for one, example in zip(new.tolist(), made, strict=True):
-            self._forms[keys[one]] = self._form(example)
+            self._forms[keys[one]] = self._template(example)
         usual.is_usual[chosen[is_rare[kinds]]] = False
         return [self._forms.get(key, "") for key in keys], kinds[~is_rare[kinds]]
 
-    def _form(self, like: NamedTransaction) -> str:
+    def _template(self, like: NamedTransaction) -> str:
         """Return the line of the transaction `like` as a template: %s stands in place of each field
         that differs within a group.
 

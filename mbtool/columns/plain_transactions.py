@@ -107,13 +107,13 @@ class RowObjects:
                 indices = np.arange(first, min(first + AT_ONCE, len(self._rows.unit)))
                 self._window, self._parts = window, self._parts_of(indices)
             stop = min(end, first + AT_ONCE)
-            yield from map(self._made, self._parts[begin - first : stop - first])
+            yield from map(self._transaction, self._parts[begin - first : stop - first])
             begin = stop
 
     def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
         """Yield the transactions of the rows with these indices."""
         for at in range(0, len(indices), AT_ONCE):
-            yield from map(self._made, self._parts_of(indices[at : at + AT_ONCE]))
+            yield from map(self._transaction, self._parts_of(indices[at : at + AT_ONCE]))
 
     def _parts_of(self, indices: Int64s) -> list[_Parts]:
         """Return what transactions of one kind differ in, for each of the rows with these indices:
@@ -143,12 +143,12 @@ class RowObjects:
             )
         )
 
-    def _made(self, parts: _Parts) -> NamedTransaction:
+    def _transaction(self, parts: _Parts) -> NamedTransaction:
         index, kind, end, begin_ns, end_ns, id_, asking, answering, *places, asked, answered = parts
         namer, rows = self._objects.namer, self._rows
         if kind < 0:
             return namer.name(plain_transaction(rows, index))
-        source, place = self._ends[end]
+        source, place = self._keys_of_ends[end]
         key = rows.block.file, place, kind
         found = self._objects.models.get(key)
         model = (
@@ -190,7 +190,7 @@ class RowObjects:
         return found
 
     @cached_property
-    def _ends(self) -> list[tuple[str, tuple[object, ...]]]:
+    def _keys_of_ends(self) -> list[tuple[str, tuple[object, ...]]]:
         """For each item of `connections`: the master as text, and what is equal in all
         transactions of a kind.
         """

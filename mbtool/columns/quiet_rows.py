@@ -207,7 +207,7 @@ class _QuietBlock:
         records_before = _counts_before(of_kind == _RECORD).tolist()
         for begin, end in pairwise([0, *cuts.tolist(), len(order)]):
             if is_together[begin]:
-                yield from self._some(begin, end)
+                yield from self._rows_or_items(begin, end)
                 continue
             at = begin
             for number in range(records_before[begin], records_before[end]):
@@ -217,7 +217,7 @@ class _QuietBlock:
                 at = place + 1
             yield from self.items(at, end)
 
-    def _some(self, begin: int, end: int) -> Iterator[BlockRows | Record]:
+    def _rows_or_items(self, begin: int, end: int) -> Iterator[BlockRows | Record]:
         """Yield quiet items together, or single if too few of them are rows."""
         first, last = self._rows_before[[begin, end]].tolist()
         if last - first < FEWEST:
@@ -323,7 +323,7 @@ class _QuietBlock:
         places = np.flatnonzero(latency >= least_ns)
         # Among equal latencies, the earlier ones count as longer.
         order = places[np.lexsort((places, -latency[places]))]
-        groups = _alike(self._unit[begin:end][order], 0, len(order)) if len(order) else []
+        groups = _rows_by_number(self._unit[begin:end][order], 0, len(order)) if len(order) else []
         longest = [order[np.sort(group)[:most]] for group in groups]
         for place in sorted(one for group in longest for one in group.tolist()):
             index = begin + place
@@ -626,7 +626,7 @@ def _numbers(values: Sequence[Hashable]) -> Int64s:
     return np.array([known[value] for value in values], np.int64)
 
 
-def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
+def _rows_by_number(group: Numbers, begin: int, end: int) -> list[Int64s]:
     """Group the rows with the indices `begin` to `end` (exclusive) that have equal numbers in
     `group`.
 

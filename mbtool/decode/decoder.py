@@ -357,7 +357,7 @@ class Decoder:
             records += self._end(oldest, self._last_ns)
         return records
 
-    def _quiet(self, quiet: Quiet) -> list[Record]:
+    def _feed_quiet(self, quiet: Quiet) -> list[Record]:
         bus = self._buses.get(quiet.link)
         if bus is not None:
             return self._to_records(bus.advance(quiet.ts_ns))
@@ -531,7 +531,7 @@ class Decoder:
 
 _HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
     Chunk: Decoder._chunk,
-    Quiet: Decoder._quiet,
+    Quiet: Decoder._feed_quiet,
     StreamClosed: Decoder._stream_closed,
     StreamEvent: Decoder._stream_event,
     StreamGap: Decoder._stream_gap,

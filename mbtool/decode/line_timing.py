@@ -52,14 +52,17 @@ class LineTiming:
                 "--t1-5, --t3-5 and --response-timeout are for serial lines; "
                 "none of the links is one"
             )
-        return [self._given(link) if isinstance(link, SerialLink) else link for link in links]
+        return [
+            self._with_given_silences(link) if isinstance(link, SerialLink) else link
+            for link in links
+        ]
 
     def format_of(self, line: SerialLink) -> SerialFormat:
         """Return a line's settings with t1.5 and t3.5 filled in.
 
         Raises UsageError if the silences contradict each other.
         """
-        format_ = self._given(line).format
+        format_ = self._with_given_silences(line).format
         if format_.t3_5 is None:
             t3_5 = _shortest(self._silences_of_profiles(line, "t3_5"), format_)
             if t3_5 is not None and (
@@ -79,7 +82,7 @@ class LineTiming:
         """The response timeout of the master, in ns; None if it was not given."""
         return None if self.response_timeout is None else _silence_ns(self.response_timeout, line)
 
-    def _given(self, line: SerialLink) -> SerialLink:
+    def _with_given_silences(self, line: SerialLink) -> SerialLink:
         return replace(line, format=line.format.with_silences(self.t1_5, self.t3_5))
 
     def _silences_of_profiles(self, line: SerialLink, key: str) -> Iterable[Silence]:

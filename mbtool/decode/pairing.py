@@ -254,8 +254,9 @@ class Pairing:
             # The damaged bytes were its request.
             return [*self._alone(response, Outcome.NOT_CAPTURED)]
         if pending is not None and not (self._earlier.open or self._held):
+            # The usual case, before the general one.
             self._pending = None
-            return [self._answered(pending, response)]  # The usual case, before the general one.
+            return [self._answered_transaction(pending, response)]
         done: list[Transaction | WireEvent] = []
         if response.unit in self._held:
             if pending is not None and self._extends_held(pending, response):
@@ -324,7 +325,7 @@ class Pairing:
     def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:
         self._pending = None
         done = self._unanswered_of(self._earlier.take_all_of(response.unit))
-        return [*done, self._answered(pending, response)]
+        return [*done, self._answered_transaction(pending, response)]
 
     def _answer_earlier(
         self, earlier: OpenLineRequest, response: Adu
@@ -338,7 +339,11 @@ class Pairing:
             is_late = not (earlier.waits or self._has_told)
             if is_late and not self._has_timeout():
                 confidence = EVEN
-        done.append(self._answered(earlier.adu, response, is_late=is_late, confidence=confidence))
+        done.append(
+            self._answered_transaction(
+                earlier.adu, response, is_late=is_late, confidence=confidence
+            )
+        )
         return done
 
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
@@ -388,7 +393,7 @@ class Pairing:
         done = self._unanswered_of(self._earlier.take_all_of(unit))
         self._earlier.put_back(held.requests[-1])
         for request, one in zip(held.requests, held.responses, strict=False):
-            done.append(self._answered(request, one, is_late=True))
+            done.append(self._answered_transaction(request, one, is_late=True))
         return done
 
     def _release(self, unit: int, confidence: float = 1.0) -> list[Transaction]:
@@ -401,10 +406,10 @@ class Pairing:
         done = [self._unanswered_request(held.requests[0])]
         done += self._unanswered_of(self._earlier.take_all_of(unit))
         for request, response in zip(held.requests[1:], held.responses, strict=True):
-            done.append(self._answered(request, response, confidence=confidence))
+            done.append(self._answered_transaction(request, response, confidence=confidence))
         return done
 
-    def _answered(
+    def _answered_transaction(
         self, request: Adu, response: Adu, *, is_late: bool = False, confidence: float = 1.0
     ) -> Transaction:
         """Return the transaction of a request and its response.

@@ -320,7 +320,7 @@ def _cdc_settings(device: _Device, request: _Request, data: bytes) -> bool:
     device.maker = device.maker or Maker.OTHER
     port = device.ports[0]
     if 0 < baud < 1 << 31:  # With the highest bit set, it is a divisor (PL2303).
-        port.baud = _usual(baud)
+        port.baud = _usual_baud_near(baud)
     port.stop_bits, port.data_bits = (2 if stop == 2 else 1), bits
     port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
     return True
@@ -362,7 +362,7 @@ def _ftdi_baud(value: int, index: int) -> int:
         divisor = (value & 0x3FFF) + eighths[value >> 14 | (high & 1) << 2] / 8
         divisor = {0: 1.0, 1: 1.5}.get(value | (high & 1) << 16, divisor)
         rates.append(clock / divisor)
-    return _usual(min(rates, key=_distance))
+    return _usual_baud_near(min(rates, key=_distance))
 
 
 def _ch34x_settings(device: _Device, request: _Request, _: bytes) -> bool:
@@ -381,7 +381,7 @@ def _ch34x_settings(device: _Device, request: _Request, _: bytes) -> bool:
         port.parity = ("E" if control & 0x10 else "O") if control & 8 else "N"
     if value == 0x1312 or (code == 0xA1 and index):
         shift = 12 - 3 * (index & 3) - (index >> 2 & 1)
-        port.baud = _usual(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
+        port.baud = _usual_baud_near(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
     return True
 
 
@@ -392,9 +392,9 @@ def _cp210x_settings(device: _Device, request: _Request, data: bytes) -> bool:
         return False
     port = device.ports[0]
     if code == 0x1E and len(data) >= 4:
-        port.baud = _usual(int.from_bytes(data[:4], "little"))
+        port.baud = _usual_baud_near(int.from_bytes(data[:4], "little"))
     elif code == 0x01 and value:
-        port.baud = _usual(3_686_400 / value)
+        port.baud = _usual_baud_near(3_686_400 / value)
     elif code == 0x03:
         parity = value >> 4 & 0xF
         port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
@@ -426,7 +426,7 @@ def _distance(rate: float) -> float:
     return min(abs(rate - one) / one for one in _USUAL_BAUDS)
 
 
-def _usual(rate: float) -> int:
+def _usual_baud_near(rate: float) -> int:
     """The usual baud rate next to a rate, if it is near; else the rate itself."""
     baud = min(_USUAL_BAUDS, key=lambda one: abs(rate - one) / one)
     return baud if abs(rate - baud) <= _NEAR * baud else max(1, round(rate))

@@ -204,7 +204,7 @@ def advise(
     saved_ns, saved = 0, 0
     for (unit, code), steps in groups.items():
         limit = min(limit_of(unit, code) or FUNCTIONS[code].limit, FUNCTIONS[code].limit)
-        known, refused = _known(polls, unit, code)
+        known, refused = _known_and_refused(polls, unit, code)
         runs = _runs(steps, known, refused, limit)
         for run in runs:
             if len(run) > 1:
@@ -219,7 +219,9 @@ def advise(
                         address=span.start,
                         quantity=len(span),
                         count=len(run),
-                        most_asked=max(_quantity(poll) for poll in _answered(polls, unit, code)),
+                        most_asked=max(
+                            _quantity(poll) for poll in _answered_polls(polls, unit, code)
+                        ),
                     )
                 )
     if not merged:
@@ -246,7 +248,7 @@ def _range(poll: PollStatistics) -> range:
     return range(first, first + _quantity(poll))
 
 
-def _answered(polls: Iterable[PollStatistics], unit: int, code: int) -> list[PollStatistics]:
+def _answered_polls(polls: Iterable[PollStatistics], unit: int, code: int) -> list[PollStatistics]:
     return [
         poll
         for poll in polls
@@ -256,9 +258,11 @@ def _answered(polls: Iterable[PollStatistics], unit: int, code: int) -> list[Pol
     ]
 
 
-def _known(polls: Sequence[PollStatistics], unit: int, code: int) -> tuple[set[int], list[range]]:
+def _known_and_refused(
+    polls: Sequence[PollStatistics], unit: int, code: int
+) -> tuple[set[int], list[range]]:
     """The addresses that the slave has given, and the ranges that it refused."""
-    known = {at for poll in _answered(polls, unit, code) for at in _range(poll)}
+    known = {at for poll in _answered_polls(polls, unit, code) for at in _range(poll)}
     refused = [
         _range(poll)
         for poll in polls

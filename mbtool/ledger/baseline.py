@@ -190,7 +190,7 @@ def _unit_changes(
     for kind, masters in ((ChangeKind.WRITER, writers), (ChangeKind.MASTER, readers)):
         for master in masters:
             known = "" if master in old_masters else " (a new host)"
-            yield change(kind, f"{master}{known}: {_what(row, master, kind)}")
+            yield change(kind, f"{master}{known}: {_requested_text(row, master, kind)}")
     told = {*writers, *readers}
     uses = [use for use in row.uses if use.master not in told]
     for function in dict.fromkeys(use.function for use in uses):
@@ -206,7 +206,7 @@ def _unit_changes(
         yield change(ChangeKind.SILENT, f"asked {count:,} times, and never answered")
 
 
-def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
+def _requested_text(row: SlaveRow, master: str, kind: ChangeKind) -> str:
     """Return a text with the functions and addresses that a new master requests from a unit.
 
     If `kind` is WRITER, the text has only the functions that write.

@@ -144,7 +144,7 @@ class Recovery:
             for record in head:
                 self._copy(record)
             while not self._ends:
-                self._copy(self._next())
+                self._copy(self._next_record())
             self._finish()
         finally:
             target.close()
@@ -160,7 +160,7 @@ class Recovery:
         self._records.take(min(len(MAGIC), len(self._records.look(len(MAGIC)))))
         head: list[McapRecord | Hole] = []
         while not self._ends and len(head) < MAX_HEAD_RECORDS:
-            record = self._next()
+            record = self._next_record()
             head.append(record)
             if isinstance(record, McapRecord) and self._is_of_log(record):
                 return head
@@ -178,7 +178,7 @@ class Recovery:
                 return bool(metadata.name.startswith(f"{PROFILE}."))
         return record.opcode == Opcode.CHUNK and b'"mbtool.' in record.content
 
-    def _next(self) -> McapRecord | Hole:
+    def _next_record(self) -> McapRecord | Hole:
         """Return the next record, or a hole for damaged bytes that were skipped.
 
         The last one is a DataEnd record, or a hole up to the end of the file.

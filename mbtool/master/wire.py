@@ -219,10 +219,10 @@ class SerialWire(Wire):
             return _rtu_damage(raw, request)
         first, end, _ = raw.partition(_ASCII_END)
         if not end:
-            return f"a frame without its end, CR LF: {_shown(raw)}"
+            return f"a frame without its end, CR LF: {_hex_text(raw)}"
         frame = read_frame(first + end)
         if frame is None or frame.checksum.ok:
-            return f"bytes that are no frame: {_shown(raw)}"
+            return f"bytes that are no frame: {_hex_text(raw)}"
         received, computed = frame.checksum.received, frame.checksum.computed
         return f"a wrong LRC: {received:02x}, right is {computed:02x}"
 
@@ -373,8 +373,8 @@ class TcpWire(Wire):
             if protocol:
                 return f"protocol id {protocol:04X}, right is 0000"
             if len(raw) < size:
-                return f"{len(raw)} bytes of an ADU of {size}: {_shown(raw)}"
-        return f"bytes that are no ADU: {_shown(raw)}"
+                return f"{len(raw)} bytes of an ADU of {size}: {_hex_text(raw)}"
+        return f"bytes that are no ADU: {_hex_text(raw)}"
 
     def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
         if self._link.rtu:
@@ -399,14 +399,14 @@ def _rtu_damage(raw: bytes, request: bytes) -> str:
     sizes = [EXCEPTION_SIZE, *([expected.size] if expected is not None else ())]
     for size in (one + RTU_EXTRA_BYTES for one in sizes):
         if size <= len(raw) and not crc(raw[:size]):
-            return f"{_shown(raw[size:])} behind the answer"
+            return f"{_hex_text(raw[size:])} behind the answer"
     is_exception = raw[1:2] == bytes([request[0] | EXCEPTION_BIT])
     size = (EXCEPTION_SIZE if is_exception else sizes[-1]) + RTU_EXTRA_BYTES
     if len(raw) == size:
         right = crc(raw[:-CRC_BYTES]).to_bytes(CRC_BYTES, "little")
         return f"a wrong CRC: {raw[-CRC_BYTES:].hex(' ')}, right is {right.hex(' ')}"
-    return f"{len(raw)} bytes, where the answer has {size}: {_shown(raw)}"
+    return f"{len(raw)} bytes, where the answer has {size}: {_hex_text(raw)}"
 
 
-def _shown(raw: bytes) -> str:
+def _hex_text(raw: bytes) -> str:
     return raw[:_SHOWN].hex(" ")

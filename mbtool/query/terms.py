@@ -79,7 +79,7 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
     if not membership:
         return _why_never_equal(left, right)
     if right.kind is ValueKind.LIST:
-        return _first(_why_never_equal(left, item) for item in right.items)
+        return _first_reason(_why_never_equal(left, item) for item in right.items)
     if right.kind is ValueKind.TEXT:
         return None if left.kind is ValueKind.TEXT else _unlike(left, right)
     return f"{right.described}, and in looks into a list: unit in (1, 2)"
@@ -93,7 +93,7 @@ def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
     `<`, `<=`, `>` or `>=`.
     """
     if compare in ("in", "not in"):
-        return _first(why_out_of_range(left, item, "==") for item in right.items)
+        return _first_reason(why_out_of_range(left, item, "==") for item in right.items)
     if left.number is not None:
         left, right = right, left
         compare = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}.get(compare, compare)
@@ -115,7 +115,9 @@ def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
 
 def _why_never_equal(left: Term, right: Term) -> str | None:
     if left.kind is ValueKind.LIST and right.kind is ValueKind.LIST:
-        return _first(_why_never_equal(one, other) for one in left.items for other in right.items)
+        return _first_reason(
+            _why_never_equal(one, other) for one in left.items for other in right.items
+        )
     for one, other in ((left, right), (right, left)):
         if one.kind is ValueKind.LIST:
             fits = not any(_why_never_equal(other, item) for item in one.items)
@@ -154,7 +156,7 @@ def _unlike(left: Term, right: Term, instead: str | None = None) -> str:
     return f"{both}; {instead or 'they cannot be compared'}"
 
 
-def _first(reasons: Iterable[str | None]) -> str | None:
+def _first_reason(reasons: Iterable[str | None]) -> str | None:
     return next((one for one in reasons if one is not None), None)
 
 

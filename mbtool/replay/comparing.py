@@ -203,7 +203,9 @@ def _connection_differences(
         pairs = [(next(iter(a)), next(iter(b)))]
     for link, other in sorted(pairs):
         is_known = all(one.end is None or one.is_end_known for one in (*a[link], *b[other]))
-        kinds = [[_kind(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])]
+        kinds = [
+            [_kind_text(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])
+        ]
         several = link if len(pairs) > 1 else None
         if len(kinds[0]) == len(kinds[1]):
             yield from _differences_one_by_one(several, *kinds)
@@ -211,7 +213,7 @@ def _connection_differences(
             yield from _differences_by_kind(several, *kinds)
 
 
-def _kind(one: RecordedConnection, *, is_known: bool) -> str:
+def _kind_text(one: RecordedConnection, *, is_known: bool) -> str:
     """The kind of a connection in words. With `is_known` False, it does not say who ended it, since
     one of the captures does not.
     """
@@ -406,7 +408,7 @@ class _SlaveComparison:
     def _latencies(self) -> Iterator[Difference]:
         for _, requests in groupby(self._in_both, key=lambda key: (key.function, key.sub_function)):
             shifts = [shift for key in requests for shift in self._shift(key)]
-            for first, *others in _alike(shifts):
+            for first, *others in _groups_alike(shifts):
                 named = [_name(one.request, self._a.requests[one.request]) for one in others]
                 yield self._difference(
                     first.request, Kind.LATENCY, first.a, first.b, first.p, filter(None, named)
@@ -451,7 +453,7 @@ class _SlaveComparison:
         )
 
 
-def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
+def _groups_alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
     """Group the latency changes that `is_like` finds alike: first those that became slower, and of
     these the largest factor first.
     """

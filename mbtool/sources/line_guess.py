@@ -95,9 +95,9 @@ def _guess(
                 continue
             best = trial.scores()[0]
             if best.is_sure:
-                return _found(link, best, _how_sure(heard_as, listener))
+                return _settled_link(link, best, _how_sure(heard_as, listener))
             if best.is_pair:
-                return _found(link, best, "likely, from so few frames")
+                return _settled_link(link, best, "likely, from so few frames")
             if listener.is_over():
                 break
         # If each setting has received enough bytes, more bytes change nothing.
@@ -108,7 +108,7 @@ def _guess(
     best, *others = sorted(scores, key=_rank, reverse=True)
     if best.is_likely:
         second = f"; second is {others[0]}" if others else ""
-        return _found(link, best, f"likely{second}")
+        return _settled_link(link, best, f"likely{second}")
     raise LinkError(
         f"link {link}: no usual line settings fit what was heard; nearest is {best}. "
         f"Name the settings, for example {link.settled(SerialFormat(), ascii=False)}"
@@ -261,7 +261,7 @@ def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
     return "sure; but for the parity, of whose errors this port tells nothing"
 
 
-def _found(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLink, str]:
+def _settled_link(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLink, str]:
     found = best.settings
     return link.settled(found.format, ascii=found.ascii), f"{link.name}: {best}, {how_sure}"
 

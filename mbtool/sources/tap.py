@@ -425,7 +425,9 @@ class TcpRelay:
                 transport, self.master, tls, server_side=True, ssl_handshake_timeout=CONNECT_S
             )
         except OSError as error:
-            self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
+            self._tell_refused(
+                failure(error, self.master.who) or f"TLS: {_unreachable_reason(error)}"
+            )
         finally:
             # If the connection ends during the handshake, asyncio may not call connection_lost, so
             # it is called here.
@@ -451,7 +453,7 @@ class TcpRelay:
                 )
         except (OSError, UnicodeError) as error:  # UnicodeError comes from an invalid host name.
             of_tls = failure(error, self.slave.who) if isinstance(error, OSError) else None
-            why = of_tls or f"cannot be reached: {_why(error)}"
+            why = of_tls or f"cannot be reached: {_unreachable_reason(error)}"
             if tls is not None and isinstance(error, TimeoutError):
                 why += "; perhaps it speaks no TLS"
             colon = ":" if of_tls else ""
@@ -601,7 +603,7 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.resume_reading()
 
 
-def _why(error: Exception) -> str:
+def _unreachable_reason(error: Exception) -> str:
     """Return a text for the user that says why the target cannot be reached."""
     unknown = why_unknown(error)
     if unknown is not None:

@@ -147,7 +147,7 @@ def _ascii_frame(text: bytes) -> bytes:
     return text + b"\r\n"
 
 
-def _long(text: bytes) -> bytes:
+def _parse_long_digits(text: bytes) -> bytes:
     if text[:2] == b"0b" and not text[2:].strip(b"01"):
         raise ValueError("a binary number")
     return _digits(text[2:] if text[1:2] in b"xX" else text)
@@ -194,7 +194,7 @@ NOTATIONS = (
     Notation(
         (b"00000000",),
         re.compile(_BEFORE + rb"(?:0[xX])?(?:00){4,}[hH]?" + _AFTER),
-        _long,
+        _parse_long_digits,
     ),
 )  # fmt: skip
 _GROUPS = Notation(
@@ -238,9 +238,9 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
         row = _row(shape, offset.end())
         if row is not None:
             return [row]
-    places = [one for each in NOTATIONS for one in _found(each, shape, skip_to)]
+    places = [one for each in NOTATIONS for one in _find_notation(each, shape, skip_to)]
     if all(_size(shape, one) < MIN_PURE for one in places):
-        places += _found(_GROUPS, shape, skip_to)
+        places += _find_notation(_GROUPS, shape, skip_to)
     places.sort(key=lambda one: one.start - one.end)
     chosen: list[FoundBytes] = []
     for one in places:
@@ -252,11 +252,13 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
             chosen.append(FoundBytes(*single.span(1), _digits))
     if b"\\" in line or b'(0, "' in shape:
         chosen += _quoted(line, skip_to)
-    chosen += _found(_DECIMALS, shape, skip_to) + _found(_BARE_DECIMALS, shape, skip_to)
+    chosen += _find_notation(_DECIMALS, shape, skip_to) + _find_notation(
+        _BARE_DECIMALS, shape, skip_to
+    )
     return sorted(chosen, key=lambda one: one.start)
 
 
-def _found(notation: Notation, shape: bytes, skip_to: int) -> list[FoundBytes]:
+def _find_notation(notation: Notation, shape: bytes, skip_to: int) -> list[FoundBytes]:
     if not any(hint in shape for hint in notation.hints):
         return []
     return [
@@ -464,9 +466,9 @@ class TextLog:
                 lines.append(rest)
                 rest = b""
             if lines:
-                yield _cleaned(lines)
+                yield _without_colours(lines)
         if rest:
-            yield _cleaned([rest])
+            yield _without_colours([rest])
 
     def _planned(self, line: bytes, shape: bytes) -> _Plan | None:
         """Find what to read in lines of this shape; None if there is nothing."""
@@ -605,7 +607,7 @@ def _line_before(line: bytes, plan: _Plan | None) -> _Before:
     return _Before(has_bytes, mark, find_time(line))
 
 
-def _cleaned(lines: list[bytes]) -> list[bytes]:
+def _without_colours(lines: list[bytes]) -> list[bytes]:
     return [
         _COLOURS.sub(b"", line.rstrip(b"\r")) if _ESC in line else line.rstrip(b"\r")
         for line in lines

@@ -75,7 +75,7 @@ class Cases(Sense):
         if latency_ns is not None and latency_ns >= SLOW_NS and one.request_ns is not None:
             heap = self._heap(one)
             if _has_place(heap, latency_ns, one.request_ns):
-                self._put(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
+                self._keep_slow(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
         if one.outcome in _FAILED:
             cases = self._cases_of(one)
             if cases is not None:
@@ -126,7 +126,7 @@ class Cases(Sense):
                     break
                 text, packets = _took(latency_ns), kind.packets(at)
                 evidence = Evidence(ts_ns=at_ns, text=text, file=like.file, packets=packets)
-                self._put(heap, latency_ns, evidence)
+                self._keep_slow(heap, latency_ns, evidence)
 
     def event(self, event: WireEvent) -> None:
         if event.kind is EventKind.OPENED and event.message == CONNECTION_OPENED:
@@ -156,7 +156,7 @@ class Cases(Sense):
                 self._slow[key] = heap
         return heap
 
-    def _put(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
+    def _keep_slow(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
         self._number += 1
         case = _SlowAnswer(latency_ns, -evidence.ts_ns, self._number, evidence)
         if len(heap) < SLOWEST:
@@ -176,7 +176,7 @@ class Cases(Sense):
             for one in self._slow.get(poll.key, ())
             if one.latency_ns >= least_ns and one.evidence.ts_ns >= since_ns
         ]
-        return _first(found)
+        return _earliest_cases(found)
 
     def with_evidence(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles; those that only figures show get their cases as evidence."""
@@ -198,10 +198,10 @@ class Cases(Sense):
                     for (link, host), case in self._opened.items()
                     if link == one.link and (one.master == host or one.master == "masters")
                 )
-            yield one if found is one.evidence else replace(one, evidence=_first(found))
+            yield one if found is one.evidence else replace(one, evidence=_earliest_cases(found))
 
 
-def _first(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
+def _earliest_cases(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
     return tuple(sorted(cases, key=lambda one: one.ts_ns)[:MAX_EVIDENCE])
 
 

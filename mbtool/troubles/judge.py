@@ -106,7 +106,7 @@ class Judgement:
     @property
     def is_enough(self) -> bool:
         """True if enough requests were answered to say that all is well."""
-        return _answered(self._total) >= ENOUGH
+        return _count_answered(self._total) >= ENOUGH
 
     @property
     def level(self) -> str:
@@ -131,7 +131,7 @@ class Judgement:
             if is_any:
                 return "There are only broadcasts, which no unit answers, in the recording."
             return "There is no transaction in the recording."
-        lacking, answered = total.count(Outcome.NOT_CAPTURED), _answered(total)
+        lacking, answered = total.count(Outcome.NOT_CAPTURED), _count_answered(total)
         lacks = f"; the recording lacks parts of {counted(lacking, 'transaction', ',')}"
         if not answered:
             return f"No trouble shows, but no request is answered{lacks if lacking else ''}."
@@ -360,5 +360,5 @@ def _sorted_worst_first(troubles: Iterable[Trouble]) -> list[Trouble]:
     return sorted(troubles, key=rank)
 
 
-def _answered(total: RequestTally) -> int:
+def _count_answered(total: RequestTally) -> int:
     return sum(map(total.count, _ANSWERS))

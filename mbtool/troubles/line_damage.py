@@ -392,7 +392,7 @@ def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -
             victims=tuple(
                 each for each, other in line.units.items() if other.answered or each == number
             ),
-            figures={"how": _how_double(unit), "other": _colliding_unit_text(unit, count)},
+            figures={"how": _second_slave_text(unit), "other": _colliding_unit_text(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -403,7 +403,7 @@ def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -
     short = line.short_requests + sum(unit.shorter for unit in units)
     known = line.in_requests + sum(unit.damaged for unit in units)
     is_short = known >= ENOUGH and short >= SHORTER * known
-    where, worst = _where(line)
+    where, worst = _place_of_damage(line)
     cases = [*line.cases, *(case for unit in units for case in unit.cases)]
     yield Trouble(
         code="LINE-LOST-BYTES" if is_short else "LINE-NOISE",
@@ -466,7 +466,7 @@ def _asked_text(polls: Sequence[PollStatistics], both: Collection[int]) -> str:
     return " and ".join([", ".join(some[:-1]), some[-1]] if len(some) > 1 else some)
 
 
-def _how_double(unit: _DamagedUnit) -> str:
+def _second_slave_text(unit: _DamagedUnit) -> str:
     """Say what shows that two slaves answer."""
     told = []
     if unit.seconds:
@@ -504,7 +504,7 @@ def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     return is_garbled or (is_other and len(unit.lengths) >= LENGTHS)
 
 
-def _where(line: _DamagedLine) -> tuple[str, int | None]:
+def _place_of_damage(line: _DamagedLine) -> tuple[str, int | None]:
     """Return where most of the damage sits, and the unit if it is that of one."""
     by_unit = Counter({number: unit.damaged for number, unit in line.units.items()})
     answers, number = by_unit.total(), line.damaged
@@ -536,17 +536,17 @@ def _note_answer(
     """Note the pieces of the damaged answer to a request."""
     unit.damaged += 1
     keep(unit.cases, Evidence.of(request, answer[0].message))
-    expected, came = _expected(request), sum(len(event.raw) for event in answer)
+    expected, came = _expected_answer_size(request), sum(len(event.raw) for event in answer)
     if expected is None:
         return
     unit.shorter += came < expected
     unit.longer += came > expected
     if len(unit.lengths) < LENGTHS:
         unit.lengths.add(came - expected)
-    unit.garbled += not _has_ends(answer[0].raw, _head(request, expected))
+    unit.garbled += not _has_ends(answer[0].raw, _expected_head(request, expected))
 
 
-def _head(request: NamedTransaction, expected: int) -> bytes:
+def _expected_head(request: NamedTransaction, expected: int) -> bytes:
     """Return the first bytes of the answer to a request; `expected` is the size of that answer."""
     head = bytes([request.unit, request.function])
     values = expected - _AROUND_VALUES
@@ -572,8 +572,8 @@ def _request_of(raw: bytes, requests: Iterable[bytes]) -> bytes | None:
             if sum(mine == its for mine, its in zip(raw, one, strict=True)) >= ALIKE * len(one):
                 return one
         elif LEAST_BYTES <= len(raw) < len(one):
-            begin = _same(raw, one)
-            if begin + _same(raw[::-1], one[::-1]) >= len(raw):
+            begin = _common_prefix_size(raw, one)
+            if begin + _common_prefix_size(raw[::-1], one[::-1]) >= len(raw):
                 return one
     return None
 
@@ -603,7 +603,7 @@ def _answer_size(request: bytes) -> int:
     return _AROUND_VALUES + values
 
 
-def _same(one: bytes, other: bytes) -> int:
+def _common_prefix_size(one: bytes, other: bytes) -> int:
     """Return how many bytes at the beginning are the same."""
     return next(
         (at for at, (mine, its) in enumerate(zip(one, other, strict=False)) if mine != its),
@@ -611,7 +611,7 @@ def _same(one: bytes, other: bytes) -> int:
     )
 
 
-def _expected(one: NamedTransaction) -> int | None:
+def _expected_answer_size(one: NamedTransaction) -> int | None:
     """Return how many bytes the answer to a read over RTU should have; None if that is unknown."""
     if one.quantity is None:
         return None

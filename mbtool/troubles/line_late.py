@@ -256,8 +256,8 @@ def _unit_troubles(
         yield _trouble(link, number, unit, tally.requests)
         return
     is_dead = tally.latency.count < ENOUGH
-    if _disturbs(unit, line, is_dead=is_dead):
-        wait = _s(median(unit.waits))
+    if _is_cause_of_damage(unit, line, is_dead=is_dead):
+        wait = _seconds_text(median(unit.waits))
         yield Trouble(
             code="LINE-LATE",
             link=link,
@@ -285,9 +285,9 @@ def _unit_troubles(
             of=tally.requests,
             weight=unit.missing,
             figures={
-                "latency": f"up to {_s(slowest_ns)}",
-                "timeout": _s(wait_ns),
-                "longest": _s(2 * wait_ns),
+                "latency": f"up to {_seconds_text(slowest_ns)}",
+                "timeout": _seconds_text(wait_ns),
+                "longest": _seconds_text(2 * wait_ns),
             },
             sureness=Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
@@ -312,10 +312,10 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
     unit.count += 1
     latency_ns = one.latency_ns or 0
     unit.latencies.append(latency_ns)
-    keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
+    keep(unit.cases, Evidence.of(one, f"answered after {_seconds_text(latency_ns)}"))
 
 
-def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
+def _is_cause_of_damage(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
     """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
     answers in time (`is_dead`), another request must fail in most wakes.
     """
@@ -332,7 +332,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
     is_rare = late.count < ENOUGH
     count = late.count if is_rare else max(late.count, late.missing)
-    waits = _s(median(late.waits)) if late.waits else "less"
+    waits = _seconds_text(median(late.waits)) if late.waits else "less"
     return Trouble(
         code="LINE-LATE",
         link=link,
@@ -341,10 +341,14 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         of=max(requests, count),
         weight=count,
         is_small=is_rare or count < FEW * requests,
-        figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
+        figures={
+            "latency": _seconds_text(latency_ns),
+            "timeout": waits,
+            "longest": _seconds_text(longest_ns),
+        },
         evidence=tuple(late.cases),
     )
 
 
-def _s(ns: float) -> str:
+def _seconds_text(ns: float) -> str:
     return f"{ns / 1e9:.2f} s"

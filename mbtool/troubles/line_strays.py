@@ -223,13 +223,13 @@ class StrayBytes(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _bias(link, line)
-                yield from _foreign(link.name, line)
+                yield from _bias_troubles(link, line)
+                yield from _foreign_troubles(link.name, line)
         for name, line in self._lines.items():
-            yield from _settings(name, line)
+            yield from _settings_troubles(name, line)
 
 
-def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
+def _bias_troubles(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     if not line.bias:
         return
     (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
@@ -241,7 +241,11 @@ def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
         by_place[place] += number
     total = by_place.total() or 1
     places = [place for place, number in by_place.most_common() if number >= OFTEN * total]
-    whose = _whose(link, line, total) if all(place.endswith("answers") for place in places) else ""
+    whose = (
+        _units_beside(link, line, total)
+        if all(place.endswith("answers") for place in places)
+        else ""
+    )
     where = f"{' and '.join(places)}{f' of {whose}' if whose else ''}" or "between frames"
     yield Trouble(
         code="LINE-BIAS", link=link.name, count=count, of=max(2 * transactions, count),
@@ -252,7 +256,7 @@ def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _whose(link: LinkReport, line: _StrayLine, total: int) -> str:
+def _units_beside(link: LinkReport, line: _StrayLine, total: int) -> str:
     """Name the units beside whose frames the constant bytes stand; empty if they are all that
     answer.
     """
@@ -290,7 +294,7 @@ def _bias_words(places: Sequence[str], whose: str) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:
+def _foreign_troubles(link: str, line: _StrayLine) -> Iterator[Trouble]:
     if line.pieces < ENOUGH or line.piece_bytes < FOREIGN_BYTES:
         return
     if line.answered < ENOUGH or line.answered < 0.5 * line.requests:
@@ -311,7 +315,7 @@ def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
+def _settings_troubles(link: str, line: _StrayLine) -> Iterator[Trouble]:
     found = [*line.stretches]
     if line.stretch is not None and _is_wrong(line.stretch):
         found.append(line.stretch)

@@ -284,7 +284,7 @@ class Gateways(Sense):
         for of_link in links:
             slow, shared = self._slow.get(of_link.name), self._shared.get(of_link.name)
             if of_link.is_whole and slow is not None:
-                yield from _blocked(of_link, slow)
+                yield from _blocked_troubles(of_link, slow)
             if of_link.is_whole and shared is not None and shared.waiting:
                 yield from _masters_wait_trouble(of_link, shared)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
@@ -298,7 +298,7 @@ class Gateways(Sense):
                 [*{case[0].start_ns: case for case in cases}.values()]
             )
             if link in whole and len(distinct) >= ENOUGH:
-                yield _late(link, unit, distinct, asked.get((link, unit), 0))
+                yield _late_answers_trouble(link, unit, distinct, asked.get((link, unit), 0))
 
 
 def _cases_with_equal_wait(
@@ -311,7 +311,7 @@ def _cases_with_equal_wait(
     return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
 
 
-def _late(
+def _late_answers_trouble(
     link: str, unit: int, cases: Sequence[tuple[NamedTransaction, int]], asked: int
 ) -> Trouble:
     latencies = [one.latency_ns or 0 for one, _ in cases]
@@ -405,7 +405,7 @@ def _slope(groups: Sequence[Sequence[_SharedWait]]) -> float:
     return products / squares if squares else 0.0
 
 
-def _blocked(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Trouble]:
+def _blocked_troubles(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Trouble]:
     """Yield the units of a gateway that the requests to its other units wait for."""
     waits: dict[int, list[_BlockedRequest]] = {}
     """By unit, the requests to other units that waited for it."""

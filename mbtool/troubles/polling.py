@@ -120,8 +120,11 @@ def polling_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trou
     connections = {(link.name, master): one for link in links for master, one in link.connections}
     requests = {link.name: link.tally.requests for link in links}
     yield from map(_paused, pauses(polls))
-    yield from map(_short, short_connections(connections, polls, lambda link: requests[link]))
-    yield from (_late(one, cases) for one in late_units(polls))
+    yield from map(
+        _short_connections_trouble,
+        short_connections(connections, polls, lambda link: requests[link]),
+    )
+    yield from (_late_answers_trouble(one, cases) for one in late_units(polls))
 
 
 def _paused(one: PollingPause) -> Trouble:
@@ -139,7 +142,7 @@ def _paused(one: PollingPause) -> Trouble:
     )  # fmt: skip
 
 
-def _short(one: ShortConnections) -> Trouble:
+def _short_connections_trouble(one: ShortConnections) -> Trouble:
     figures = {"opened": f"{one.opened:,}", "requests": counted(one.requests, "request", ",")}
     return Trouble(
         code="NET-SHORT", link=one.link, master=one.master or "masters", count=one.opened,
@@ -147,7 +150,7 @@ def _short(one: ShortConnections) -> Trouble:
     )  # fmt: skip
 
 
-def _late(one: LateUnit, cases: Cases) -> Trouble:
+def _late_answers_trouble(one: LateUnit, cases: Cases) -> Trouble:
     longest = duration(one.longest_ns)
     figures = {
         "late": counted(one.number, "answer", ","),

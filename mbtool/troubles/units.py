@@ -318,13 +318,13 @@ def _refusal(unit: _JudgedUnit) -> Trouble | None:
     if refused:
         # The trouble has no beginning if the unit refuses the request each time.
         share = share._replace(since_ns=None, until_ns=None)
-        requests, part = _named(refused, unit), ""
+        requests, part = _refused_text(refused, unit), ""
     codes, advice = _codes(unit.tally)
     figures = {"requests": requests, "part": part, "codes": codes, "advice": advice}
     return unit.trouble("UNIT-REFUSES", share, **figures)
 
 
-def _named(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
+def _refused_text(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
     """Return which requests a unit refuses each time: `03 holding 4 each time (3 times)`."""
     number = unit.tally.count(Outcome.EXCEPTION)
     often = sorted(refused, key=lambda poll: -poll.tally.transactions)

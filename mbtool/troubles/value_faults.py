@@ -430,7 +430,9 @@ class ValueFaults(Sense):
             cases = [
                 (table, movements, case._replace(of=max(case.of - poll.norm_rows, 0)))
                 for table, movements, poll in own
-                for case in _cases(movements, [one for _, one, _ in own if one is not movements])
+                for case in _value_cases(
+                    movements, [one for _, one, _ in own if one is not movements]
+                )
                 if poll.norm_ns is None or not poll.norm_ns[0] <= case.at_ns <= poll.norm_ns[1]
             ]
             # Report one fault for each register. Several polls may show the same one.
@@ -460,7 +462,7 @@ def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case
     movements, first = cases[0]
     evidence: list[Evidence] = []
     for _, one in cases:
-        keep(evidence, Evidence(ts_ns=one.at_ns, text=_text(one)))
+        keep(evidence, Evidence(ts_ns=one.at_ns, text=_case_text(one)))
     more = len(cases) - 1
     return Trouble(
         code=code, link=link, unit=unit, count=sum(one.answers for _, one in cases), of=first.of,
@@ -476,30 +478,30 @@ def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case
     )  # fmt: skip
 
 
-def _text(case: _Case) -> str:
+def _case_text(case: _Case) -> str:
     figures = case.figures
     if "before" in figures:
         return f"{case.value.name}: {figures['before']} to {figures['after']}"
     return f"{case.value.name}: {figures.get('number', figures.get('text', ''))}"
 
 
-def _cases(movements: Movements, beside: Sequence[Movements]) -> Iterator[_Case]:
+def _value_cases(movements: Movements, beside: Sequence[Movements]) -> Iterator[_Case]:
     """Yield the faults of the values of a poll; `beside` has the other polls of the unit."""
     for place, value in enumerate(movements.values):
         unset = movements.unset(place)
         if unset is not None and _is_no_number(movements, place, unset):
-            yield _no_value(movements, value, unset)
+            yield _no_value_case(movements, value, unset)
         outside = movements.outside(place)
         if outside is not None:
             yield _Case(
                 "VALUE-RANGE", value, outside.at_ns,
-                {"number": value.shown(outside.number), "range": _range(value)},
+                {"number": value.shown(outside.number), "range": _range_text(value)},
                 outside.answers, movements.rows,
             )  # fmt: skip
         if outside is None and not value.is_state and movements.changes[place] >= MOVES:
-            fault = _fallen(movements, place)
+            fault = _fall_case(movements, place)
             if fault is None and _levels(movements, place) >= LEVELS:
-                fault = _jumped(movements, place) or _stuck(movements, place, beside)
+                fault = _jump_case(movements, place) or _stuck_case(movements, place, beside)
             if fault is not None:
                 yield fault
     for value, text, seen in movements.not_valid():
@@ -527,7 +529,7 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
     return away >= JUMP * movements.steps(place)[2].size
 
 
-def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
+def _no_value_case(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
     bits = 16 * value.reading.words
     is_whole = unset.number == unset.number and abs(unset.number) != float("inf")
     word = f"{int(unset.number) % (1 << bits):0{bits // 4}X}H" if is_whole else "no number"
@@ -538,7 +540,7 @@ def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> 
     )  # fmt: skip
 
 
-def _range(value: FollowedValue) -> str:
+def _range_text(value: FollowedValue) -> str:
     low = "" if value.minimum is None else f"{value.minimum:g}"
     high = "" if value.maximum is None else f"{value.maximum:g}"
     if low and high:
@@ -546,7 +548,7 @@ def _range(value: FollowedValue) -> str:
     return f"at least {low}" if low else f"at most {high}"
 
 
-def _fallen(movements: Movements, place: int) -> _Case | None:
+def _fall_case(movements: Movements, place: int) -> _Case | None:
     """Return the fault of a number that otherwise only rises."""
     value = movements.values[place]
     rises = int(movements.rises[place])
@@ -597,10 +599,10 @@ def _jumps(movements: Movements, place: int) -> tuple[list[Move], float]:
 
 def _has_returned(movements: Movements, place: int) -> bool:
     jumps, _ = _jumps(movements, place)
-    return bool(jumps) and _return(jumps)
+    return bool(jumps) and _do_return(jumps)
 
 
-def _jumped(movements: Movements, place: int) -> _Case | None:
+def _jump_case(movements: Movements, place: int) -> _Case | None:
     value = movements.values[place]
     jumps, usual = _jumps(movements, place)
     if not jumps:
@@ -610,7 +612,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     if any(_goes_on_at_zero(value, one, mean) for one in jumps):
         return None
     is_slow = len(jumps) == 1 and _is_slow(movements, place, jump.size, usual)
-    if not (_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
+    if not (_do_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
         return None
     return _Case(
         "VALUE-JUMPED", value, jump.at_ns,
@@ -623,7 +625,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     )  # fmt: skip
 
 
-def _return(jumps: Sequence[Move]) -> bool:
+def _do_return(jumps: Sequence[Move]) -> bool:
     """True if a number returns from each jump."""
     return len(jumps) % 2 == 0 and all(
         back.row - away.row <= RETURN_ROWS
@@ -652,7 +654,7 @@ def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bo
     return False
 
 
-def _stuck(movements: Movements, place: int, beside: Sequence[Movements]) -> _Case | None:
+def _stuck_case(movements: Movements, place: int, beside: Sequence[Movements]) -> _Case | None:
     value = movements.values[place]
     rest, second = movements.rests(place)
     changes = int(movements.changes[place])

@@ -183,8 +183,8 @@ _Shares = dict[_Key, float]
 def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[FoundPlace]]:
     """Return the places of each wanted number, the most probable first."""
     ideas = [idea for slave in slaves for idea in _ideas(slave)]
-    scores = [_scores(one, ideas) for one in wanted]
-    nowhere = [_nowhere(one) for one in wanted]
+    scores = [_place_scores(one, ideas) for one in wanted]
+    nowhere = [_probability_if_absent(one) for one in wanted]
     for _ in range(_STRIDE_ROUNDS if len(wanted) > 2 else 0):
         scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
     shares = _balanced(scores, nowhere, ideas)
@@ -224,7 +224,7 @@ def _place(one: Wanted, idea: _Idea, power: int, share: float) -> FoundPlace:
     )
 
 
-def _nowhere(one: Wanted) -> float:
+def _probability_if_absent(one: Wanted) -> float:
     """The probability (0 to 1) of what was seen if it is in no register."""
     finest = min(
         (seen.tolerance / abs(seen.value) for seen in one.sightings if seen.value), default=1.0
@@ -232,7 +232,7 @@ def _nowhere(one: Wanted) -> float:
     return max(min(NOWHERE, _NOWHERE_OF_ITS_SIZE * finest), NOWHERE * _NEGLIGIBLE)
 
 
-def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
+def _place_scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
     """How probable each idea makes what was seen, times how probable the idea is by itself."""
     finest = min(seen.tolerance for seen in one.sightings)
     found: _Shares = {}
@@ -562,7 +562,7 @@ def find_changed(slaves: Sequence[WordsOfSlave], begin_ns: int, end_ns: int) -> 
             for at in range(one.first, one.stop)
         }
         for judged in judge(slave.histories):
-            before, after = _sides(slave, judged, begin_ns, end_ns)
+            before, after = _numbers_before_and_after(slave, judged, begin_ns, end_ns)
             if not before or not after or before[-1] == after[0] == after[-1]:
                 continue
             is_written = any(
@@ -593,7 +593,7 @@ _SETTING_UNSEEN = 0.01
 places and this one are scaled to 1."""
 
 
-def _sides(
+def _numbers_before_and_after(
     slave: WordsOfSlave, judged: Judged, begin_ns: int, end_ns: int
 ) -> tuple[list[float], list[float]]:
     """The numbers of a value before a time, and after another one."""

@@ -227,7 +227,7 @@ class _Range:
         self.division = Division([], [])
 
     def _candidates(self, at: int) -> Iterator[Candidate]:
-        options = list(self._words(at))
+        options = list(self._single_register_options(at))
         yield Candidate(at, 1, Kind.WORD, options, joined_cost(one.cost for one in options))
         yield from self._texts(at)
         for kind, types in _TYPES.items():
@@ -269,7 +269,7 @@ class _Range:
         """The places in the range at which some request begins or ends."""
         return {at for at, address in enumerate(self.span) if self._edges[address]}
 
-    def _words(self, at: int) -> Iterator[Option]:
+    def _single_register_options(self, at: int) -> Iterator[Option]:
         column = self.columns[at]
         if not self.moves[at]:
             yield Option(WordReading(PointType.UINT16), self._constant_cost(at, column[0]))

@@ -72,10 +72,10 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
             ((_, unit), device) = next(iter(units.items()))
             of = f"unit {unit} {device or ''}".rstrip()
         where = f"{one.transport} {one.name}{settings}, {of}"
-    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered(total)}"
+    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered_text(total)}"
 
 
-def _answered(total: RequestTally) -> str:
+def _answered_text(total: RequestTally) -> str:
     """Return the share of requests that were answered as text, such as `98 % answered`.
 
     Broadcasts, and requests whose outcome the capture does not show, are not counted.

@@ -96,7 +96,7 @@ def _part_line(found: Sequence[Found]) -> list[StyledLine]:
     parts = [
         (master.requests, asked)
         for link, master in masters.values()
-        if (asked := _asked(link, master.master)) > master.requests
+        if (asked := _count_requests(link, master.master)) > master.requests
     ]
     if not parts:
         return []
@@ -106,7 +106,7 @@ def _part_line(found: Sequence[Found]) -> list[StyledLine]:
     return [StyledLine(f"  of the last {looked_at:,}{of} requests{each}")]
 
 
-def _asked(link: LinkReport, master: str) -> int:
+def _count_requests(link: LinkReport, master: str) -> int:
     """Return the number of requests that a master sent on a link, in the polls that are known."""
     polls = (one.poll for one in link.polls)
     return sum(poll.tally.requests for poll in polls if poll.key.master == master)

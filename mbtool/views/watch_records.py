@@ -111,7 +111,7 @@ def _latency_cell(row: RecordRow, _: DrawContext) -> str:
     return "" if latency_ns is None else in_ms(latency_ns)
 
 
-def _sure(row: RecordRow, _: DrawContext) -> str:
+def _confidence_cell(row: RecordRow, _: DrawContext) -> str:
     record = row.kept.record
     return "" if isinstance(record, WireEvent) else percent(record.confidence)
 
@@ -150,7 +150,7 @@ RECORD_COLUMNS = (
     _field("outcome", "outcome", 12),
     _field("direction_by", "by", 8),
     WatchColumn(
-        name="sure", title="sure", width=5, is_usual=False, cell=_sure,
+        name="sure", title="sure", width=5, is_usual=False, cell=_confidence_cell,
         sort=lambda row: getattr(row.kept.record, "confidence", 0),
     ),
     WatchColumn(

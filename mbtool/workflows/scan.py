@@ -250,7 +250,7 @@ class Scan:
     def _readable_parts(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
         """Yield the parts of a refused block that can be read, as first address and end."""
         if self._every:
-            yield from self._halves(unit, code, block)
+            yield from self._readable_halves(unit, code, block)
             return
         done, tried = block.start, 0
         for seed in block:
@@ -280,7 +280,7 @@ class Scan:
                 most = middle - 1
         return seed + step * least
 
-    def _halves(self, unit: int, code: int, block: range) -> Iterator[tuple[int, int]]:
+    def _readable_halves(self, unit: int, code: int, block: range) -> Iterator[tuple[int, int]]:
         if len(block) == 1 or self._silent >= MOST_SILENT:
             return
         middle = block.start + len(block) // 2
@@ -288,7 +288,7 @@ class Scan:
             if self._can_read(unit, code, half.start, len(half)):
                 yield half.start, half.stop
             else:
-                yield from self._halves(unit, code, half)
+                yield from self._readable_halves(unit, code, half)
 
     def _add(self, unit: int, table: Table, first: int, end: int) -> None:
         """Note that addresses can be read, joined with the area that ends before them."""

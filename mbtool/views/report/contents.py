@@ -386,7 +386,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
                 "name": one.name,
                 "reference": one.reference,
                 "measure": one.unit,
-                "kind": _kind(one),
+                "kind": _drawing_kind(one),
                 "changes": one.changes,
                 "texts": [[value, text] for value, text in one.texts.items()],
                 "samples": [
@@ -397,14 +397,14 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
             for key, one in moving.items()
         ],
         "constant": [
-            [key.link, key.unit, one.name, one.reference, _last(one)]
+            [key.link, key.unit, one.name, one.reference, _last_text(one)]
             for key, one in values.series.items()
             if key not in moving
         ],
     }
 
 
-def _kind(series: ValueSeries) -> str:
+def _drawing_kind(series: ValueSeries) -> str:
     """Return the way in which the page draws a series of values: `bit`, `state` or `number`.
 
     A series is a state if the device's manual has words for its values.
@@ -415,7 +415,7 @@ def _kind(series: ValueSeries) -> str:
     return "state" if are_words else "number"
 
 
-def _last(series: ValueSeries) -> str:
+def _last_text(series: ValueSeries) -> str:
     if series.last_text:
         return series.last_text
     return f"{series.samples[-1].value:g} {series.unit}".strip() if series.samples else ""

@@ -67,7 +67,7 @@ class LogRemarks:
     @property
     def are_undecoded(self) -> bool:
         """True if at least one log has undecoded evidence. Then all logs are decoded again."""
-        return bool(self._counts) or any(self._ends.values())
+        return bool(self._counts) or any(self._undecoded_ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
         """Keep remarks for the user about the log with this name, which has been read to
@@ -90,7 +90,7 @@ class LogRemarks:
             return ""
         if self.are_undecoded:
             return "; it is decoded again, for its last moments"
-        return "" if name in self._ends else "; --raw also decodes its last moments"
+        return "" if name in self._undecoded_ends else "; --raw also decodes its last moments"
 
     @property
     def remarks(self) -> list[str]:
@@ -109,7 +109,7 @@ class LogRemarks:
         return {path: count for path, count in counts.items() if count}
 
     @cached_property
-    def _ends(self) -> Mapping[str, bool]:
+    def _undecoded_ends(self) -> Mapping[str, bool]:
         """For each log, by path: True if it was not closed, and its last evidence was not decoded.
 
         Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
