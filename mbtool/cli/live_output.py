@@ -63,7 +63,7 @@ class LiveOutput(RecordOutput):
             self._write(self._printer.pause, self._file.flush)
 
     def finish(self) -> None:
-        self._tell_not_shown()
+        self._report_not_shown()
         self._write(self._printer.flush, self._file.flush, self._drain)
 
     def _print(self, record: Record, number: int) -> None:
@@ -73,10 +73,10 @@ class LiveOutput(RecordOutput):
         if self._queue is not None and self._queue.is_full:
             self._not_shown += 1
             return
-        self._tell_not_shown()
+        self._report_not_shown()
         self._write(lambda: self._printer.print(record, number))
 
-    def _tell_not_shown(self) -> None:
+    def _report_not_shown(self) -> None:
         count, self._not_shown = self._not_shown, 0
         if count:
             say(

@@ -342,7 +342,7 @@ def options(
     for one in reading.waiting:
         if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
             passed = _cost_of_passing_all(reading, skipped, one, habits)
-            cost = passed + _cost(one, response, reading, habits)
+            cost = passed + _response_cost(one, response, reading, habits)
             best = min(best, cost)
             yield PairOption(cost, one)
             if passed > best + MARGIN:
@@ -352,7 +352,7 @@ def options(
         return  # A request in `passed` would cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
-            cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
+            cost = OUT_OF_ORDER + _response_cost(one, response, reading, habits)
             yield PairOption(cost, one)
 
 
@@ -412,7 +412,9 @@ def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
     return UNANSWERED - LATE if one.number in reading.given_up else UNANSWERED
 
 
-def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits) -> float:
+def _response_cost(
+    one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits
+) -> float:
     if one.adu is None:
         if _captured_has_id(response, reading, habits, one.number):
             return OTHER_ID

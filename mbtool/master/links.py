@@ -349,7 +349,7 @@ class TcpMaster(MasterLink):
             self.socket.sendall(adu)
         except OSError as error:
             if self._link.is_udp:
-                self._tell_failed(error)
+                self._report_failed(error)
             else:
                 self.ended = ConnectionEnding.RESET
             self._drop_connection()
@@ -366,7 +366,7 @@ class TcpMaster(MasterLink):
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
-            self._tell_failed(error)
+            self._report_failed(error)
             if self._link.is_udp:
                 return ()
             data, arrived_ns = b"", 0
@@ -386,7 +386,7 @@ class TcpMaster(MasterLink):
             if (response := self._matched(event)) is not None
         ]
 
-    def _tell_failed(self, error: OSError) -> None:
+    def _report_failed(self, error: OSError) -> None:
         why = failure(error, "slave")
         if self._link.is_udp and isinstance(error, ConnectionRefusedError):
             if not self._is_refused:

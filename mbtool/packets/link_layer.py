@@ -161,7 +161,7 @@ def wireless_macs(link_type: int, data: bytes) -> tuple[int, ...]:
     return (*macs, start + 24) if is_relayed else macs
 
 
-def _null(data: bytes) -> int:
+def _behind_null(data: bytes) -> int:
     return 4 if data[:4] in FAMILIES else NOT_IP
 
 
@@ -170,7 +170,7 @@ def _raw(data: bytes) -> int:
 
 
 IP_FINDERS: dict[int, Callable[[bytes], int]] = {
-    0: _null,
+    0: _behind_null,
     1: _ethernet,
     9: _ppp,
     12: _raw,
@@ -179,7 +179,7 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
     101: _raw,
     104: _cisco_hdlc,
     _IEEE_802_11: _wireless,
-    108: _null,
+    108: _behind_null,
     113: _cooked,
     _RADIOTAP: _radiotap,
     228: _raw,

@@ -423,7 +423,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     )
                     link_type = _LINK_TYPES.get(heard_by[3])
                     if link_type is None:
-                        self._tell_unreadable(heard_by[0], heard_by[3], asked_ns)
+                        self._report_unreadable(heard_by[0], heard_by[3], asked_ns)
                         continue
                 packets.append(
                     Packet(
@@ -453,7 +453,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     )
                 )
 
-    def _tell_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
+    def _report_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
         if hardware in self._told:
             return
         self._told.add(hardware)

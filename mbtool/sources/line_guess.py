@@ -192,7 +192,7 @@ class _Listener:
                 break
             if self._has_tried(trial, begin_ns, first_ns, at_ns):
                 break
-            self._tell(trial, at_ns)
+            self._report_progress(trial, at_ns)
         self.marked += trial.marked - marked
         self._note_fit(trial)
         return True
@@ -232,7 +232,7 @@ class _Listener:
         if best.frames and (self._fitting is None or best.rank > self._fitting.rank):
             self._fitting = best
 
-    def _tell(self, trial: SettingsTrial, at_ns: int) -> None:
+    def _report_progress(self, trial: SettingsTrial, at_ns: int) -> None:
         """Tell the user how far the search is, each few seconds."""
         if at_ns - self._told_ns < _TOLD_NS:
             return

@@ -212,7 +212,7 @@ class Movements:
         if not is_lacking.any():
             return numbers
         for at in np.flatnonzero(is_unset.any(axis=0)).tolist():
-            _note(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
+            _note_occurrences(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
         rows = np.where(is_lacking, -1, np.arange(len(times))[:, None])
         rows = np.maximum.accumulate(rows)
         filled: Floats = np.take_along_axis(numbers, np.maximum(rows, 0), axis=0)
@@ -228,10 +228,10 @@ class Movements:
                     is_outside |= scaled < one.minimum - _ROUNDING * abs(one.minimum)
                 if one.maximum is not None:
                     is_outside |= scaled > one.maximum + _ROUNDING * abs(one.maximum)
-                _note(self._outside, place, times, own, is_outside)
+                _note_occurrences(self._outside, place, times, own, is_outside)
             for mask, bits, text in one.not_valid:
                 has = (np.nan_to_num(own).astype(np.int64) & mask) == bits
-                _note(self._not_valid, (place, text), times, own, has)
+                _note_occurrences(self._not_valid, (place, text), times, own, has)
 
     def _note_falls(
         self,
@@ -371,7 +371,7 @@ class Movements:
         return [(self.values[place], text, seen) for (place, text), seen in self._not_valid.items()]
 
 
-def _note(
+def _note_occurrences(
     seen: dict[K, Occurrence], key: K, times: Int64s, numbers: Floats, has: npt.NDArray[np.bool_]
 ) -> None:
     number = int(has.sum())

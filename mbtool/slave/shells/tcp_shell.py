@@ -478,7 +478,7 @@ class TcpSlave(Shell):
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
         refusal = self._listener.refusal(host)
         if refusal is not None:
-            self._tell_refused(host, refusal)
+            self._report_refused(host, refusal)
         if refusal is not None or self._is_stopping:
             return None
         admission = self.rules.admit(host, self.clock())
@@ -511,7 +511,7 @@ class TcpSlave(Shell):
         else:
             ends()
 
-    def _tell_refused(self, host: str, refusal: str) -> None:
+    def _report_refused(self, host: str, refusal: str) -> None:
         """Report a refused machine to the user once, as it usually tries again and again.
 
         `host` is the machine's IP address, `refusal` the message for the user.

@@ -333,17 +333,17 @@ def _unit_columns(bins: Chart, unit: UnitAccount) -> dict[str, Any]:
         "requests": column(UnitSum.REQUESTS),
         **{name: column(place) for name, place in _FAILURES.items()},
         "mean_ms": [
-            _in_ms(total / number) if number else None
+            _ns_to_ms(total / number) if number else None
             for total, number in zip(sums, numbers, strict=True)
         ],
         "most_ms": [
-            _in_ms(most) if number else None
+            _ns_to_ms(most) if number else None
             for most, number in zip(column(UnitSum.GREATEST_NS), numbers, strict=True)
         ],
     }
 
 
-def _in_ms(ns: float) -> float:
+def _ns_to_ms(ns: float) -> float:
     """Convert ns to ms, rounded to a microsecond."""
     return round(ns / 1e6, 3)
 
