@@ -163,7 +163,7 @@ class Sniffer:
         is_interrupted = error[:1] == (KeyboardInterrupt,)
         try:
             for _record in self._received_before_end(lambda: is_interrupted):
-                pass  # The caller does not want the record, but `_received_before_end` has logged it.
+                pass  # The caller does not want the record, which has been logged already.
         finally:
             if self._recorder is not None:
                 self._recorder.close()
