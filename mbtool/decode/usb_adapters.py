@@ -63,6 +63,7 @@ _USUAL_BAUDS = (
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
     2000000, 3000000,
 )  # fmt: skip
+"""The baud rates that a divisor's rate is compared with (_NEAR)."""
 _NEAR = 0.03
 """The rate of a divisor is shown as a usual baud rate if they differ by at most this share
 (0 to 1): two UARTs may differ by no more."""
@@ -94,6 +95,7 @@ _FTDI_ERRORS = (
     (0x08, "a framing error"),
     (0x10, "a break"),
 )
+"""The error bits in the second status byte of FTDI, each with its text for the user."""
 _PACKET_SIZES = (64, 512)
 """The sizes in bytes of the packets of an FTDI adapter at USB full speed and at high speed."""
 

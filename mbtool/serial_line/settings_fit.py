@@ -52,6 +52,7 @@ ENOUGH = 600
 scores."""
 
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
+"""The baud rates that are tried, the most frequent first."""
 
 
 def settings_to_try() -> list[SerialFormat]:

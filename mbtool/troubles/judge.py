@@ -87,6 +87,7 @@ CHANCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""
 _BYTES = frozenset(("RTU-201", "RTU-202"))
+"""The codes of findings for bytes that are no frame with a correct CRC."""
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mbtool.troubles.cases import Cases
 
 LATE_NS = 100_000_000
+"""The least latency (ns) of an answer that is counted in POLL-LATE; see LATE_TIMES."""
 LATE_TIMES = 20
 """An answer is counted in POLL-LATE if it takes at least LATE_NS (ns), and at least this many times
 the median latency of its poll."""

@@ -200,6 +200,7 @@ _SEARCH = {
     "UNIT-MALFORMED": "malformed",
     "UNIT-REFUSES": "exception",
 }
+"""By code, the search in the report's table that shows the trouble's requests."""
 _CHECK_LINE = "check its power, address, wires and line settings"
 _CHECK_NETWORK = "check that it runs, and that address, unit and gateway are right"
 _LOOK_LINE = "check its cable, and if the master's time-out is long enough"

@@ -56,7 +56,10 @@ if TYPE_CHECKING:
     from mbtool.values.movements import Move, Movements, Occurrence
 
 MAX_POLLS = 512
+"""At most this many polls of all units together are followed."""
 MAX_WRITTEN = 4096
+"""At most this many written registers are remembered; a unit with a further one has no trouble of
+values."""
 BATCH = 8192
 """A poll's words wait in a list. They are added to the poll's figures once there are at least this
 many, and answers of at least LEARNT requests."""

@@ -35,7 +35,9 @@ class Words:
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 _BLAMED = ("UNIT-SILENT", "UNIT-MISSING")
+"""Troubles of units that a trouble of their line may cause: answers that did not come."""
 _DAMAGED = ("UNIT-BAD-CRC", "LINE-STRAY")
+"""Troubles for damaged frames, which a trouble of the line may cause."""
 
 _ROWS = (
     # The serial line.

@@ -57,6 +57,7 @@ _UNJUDGED = 0.02
 """The probability (0 to 1), before any sighting, of a type and place that judging.py does not
 favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
+"""The share (0 to 1) of floats in registers that have this scale, by its power of ten."""
 _WHOLE_SCALES = {
     0: 0.32,
     -1: 0.3,

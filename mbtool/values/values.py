@@ -33,6 +33,7 @@ MAX_SERIES = 256
 MAX_OF_POLL = 64
 """The most registers of one poll that get a series."""
 MAX_POLLS = 2048
+"""The values of at most this many polls are followed."""
 MAX_LEFT_OUT = 65_536
 """The names of at most this many points and registers without a series are kept (13 MB), to count
 each once. The count stops at this number."""
