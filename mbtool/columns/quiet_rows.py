@@ -260,7 +260,7 @@ class _QuietBlock:
         return end if first + count >= last else int(self._row_items[first + count])
 
     def transaction(self, index: int) -> NamedTransaction:
-        return self._objects.one(index)
+        return self._objects.transaction_of_row(index)
 
     def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
         return self._objects.chosen(indices)
