@@ -53,7 +53,7 @@ class ByteDecoder:
         if link in _STREAMS:
             self._connection = Connection(Endpoint("master", 0), Endpoint(_HOST, MODBUS_PORT))
         else:
-            self._line = _settings(link).on(_LINE)
+            self._line = _settings(link).link_at(_LINE)
         self._decoder = Decoder(
             Namer(timing.assignments),
             lines={} if self._line is None else {_LINE: self._line},

@@ -30,7 +30,7 @@ class SerialBench:
         """
         if not 0 <= end < len(self.ports):
             raise UsageError(f"end {end}: the line has the ends 0 to {len(self.ports) - 1}")
-        return str(self._settings.on(self.ports[end]))
+        return str(self._settings.link_at(self.ports[end]))
 
     def __enter__(self) -> Self:
         self._line.__enter__()

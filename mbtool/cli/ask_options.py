@@ -169,7 +169,7 @@ class AskOptions(TargetTlsOptions):
         unit = parse_unit(self.unit, "--unit")
         profile = self._profile(unit)
         if profile is not None:
-            profile = profile.in_mode(transport_of(link))
+            profile = profile.with_limits_of(transport_of(link))
         code = None
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")

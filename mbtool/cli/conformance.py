@@ -93,7 +93,7 @@ def test(
 
     spec = parse_link(link, ANSWERED)
     number = parse_unit(unit, "--unit")
-    known = load_profile(profile).in_mode(transport_of(spec))
+    known = load_profile(profile).with_limits_of(transport_of(spec))
     spans = [parse_span(text, [known]) for text in writes or ()]
     for text, span in zip(writes or (), spans, strict=True):
         if not span.table.is_writable:
@@ -165,7 +165,7 @@ def _bytes(raw: bytes) -> str:
 
 
 def _write(file: Path, suite: str, report: TestReport) -> None:
-    from mbtool.cli.output import told_as_lost
+    from mbtool.cli.output import as_output_error
     from mbtool.views.junit import Case, junit_xml
     from mbtool.workflows.conformance import Result
 
@@ -180,5 +180,5 @@ def _write(file: Path, suite: str, report: TestReport) -> None:
         )
         for one in report.cases
     ]
-    with told_as_lost(str(file)):
+    with as_output_error(str(file)):
         file.write_text(junit_xml(suite, cases), encoding="utf-8")

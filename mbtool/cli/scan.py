@@ -328,17 +328,17 @@ class _Runner:
         if addresses is None:
             return
         for found in list(self.state.units):
-            for table, at in work.registers(found.unit, addresses):
+            for table, at in work.scan_registers(found.unit, addresses):
                 yield f"unit {found.unit}, {table.value} up to {at - 1}"
 
     def _keep(self, file: Path) -> None:
         import msgspec
 
-        from mbtool.cli.output import told_as_lost
+        from mbtool.cli.output import as_output_error
         from mbtool.core.replacing import replace_content
 
         text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
-        with told_as_lost(str(file)):
+        with as_output_error(str(file)):
             replace_content(file.resolve(), text)
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:

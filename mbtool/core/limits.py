@@ -26,11 +26,14 @@ back."""
 SLAVE_CONNECTIONS = 32
 """The default of the most masters that are connected to a slave that mbtool plays."""
 SLAVE_IDLE_S = 600.0
-"""The default of the seconds without a request after which such a slave closes a connection."""
+"""A slave closes a connection on which no byte came for this time (s), unless the user gives
+another one."""
 TAP_CONNECTIONS = 64
-"""The default of the most masters that are connected to a tap."""
+"""The number of masters that may be connected to a tap at one time, unless the user gives another
+one."""
 TAP_IDLE_S = 3600.0
-"""The default of the seconds without a byte after which a tap closes a connection."""
+"""A tap closes a connection on which no byte came for this time (s), unless the user gives another
+one."""
 CONNECTIONS_PER_SECOND = 100.0
 """The default of the most new TCP connections that a slave or a tap accepts in a second."""
 

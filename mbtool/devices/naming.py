@@ -224,13 +224,13 @@ class _Vocabulary:
         meaning = self._meaning(transaction)
         if self._scale_factors is None:
             return meaning
-        return meaning.scaled(self._scale_factors.after(transaction, meaning.read))
+        return meaning.scaled(self._scale_factors.update(transaction, meaning.read))
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)
         points = self._points_of(meaning, transaction)
         findings = self._findings(meaning, transaction, points)
-        return self._named(transaction, meaning, points, findings)
+        return self._named_transaction(transaction, meaning, points, findings)
 
     def as_kind(self, named: NamedTransaction) -> NamedTransaction:
         """See Namer.as_kind."""
@@ -247,7 +247,7 @@ class _Vocabulary:
             named, reference=meaning.reference, points=[], findings=findings
         )
 
-    def _named(
+    def _named_transaction(
         self,
         transaction: Transaction,
         meaning: _Meaning,

@@ -27,13 +27,15 @@ Int64s = npt.NDArray[np.int64]
 K = TypeVar("K", int, tuple[int, str])
 
 STEPS = 8
-"""So many of the largest steps of each value are kept."""
+"""The number of largest steps that are kept of each value."""
 FALLS = 3
-"""So many of the first falls of each value are kept."""
+"""The number of first falls that are kept of each value."""
 PAUSE_TIMES = 10
-"""The polling paused if an answer comes so many times later than usual."""
+"""The polling paused if the time since the answer before is more than this many times the usual
+one; a change across a pause is no step."""
 _ROUNDING = 1e-6
-"""A value is outside of its range only if it is so by more than this share of the limit."""
+"""A value is outside of the range in its profile only if it exceeds a limit by more than this share
+(0 to 1) of the limit."""
 _NO_VALUES = {
     PointType.UINT16: (0xFFFF, 0x8000, 0x7FFF),
     PointType.HEX16: (0xFFFF, 0x8000, 0x7FFF),
@@ -62,12 +64,14 @@ class Rest(NamedTuple):
     end_ns: int | None
     """None if it has not changed until now."""
     others: int
-    """How often other values changed meanwhile."""
+    """The number of changes of other values during this rest."""
     value: float
 
 
 class Occurrence(NamedTuple):
-    """How often something was seen, and first when and as which number."""
+    """The number of answers with a certain number, the time of the first one (UTC ns), and the
+    number in it.
+    """
 
     answers: int
     at_ns: int
@@ -207,7 +211,7 @@ class Movements:
         if not is_lacking.any():
             return numbers
         for at in np.flatnonzero(is_unset.any(axis=0)).tolist():
-            _note(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
+            _note_occurrences(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
         rows = np.where(is_lacking, -1, np.arange(len(times))[:, None])
         rows = np.maximum.accumulate(rows)
         filled: Floats = np.take_along_axis(numbers, np.maximum(rows, 0), axis=0)
@@ -223,10 +227,10 @@ class Movements:
                     is_outside |= scaled < one.minimum - _ROUNDING * abs(one.minimum)
                 if one.maximum is not None:
                     is_outside |= scaled > one.maximum + _ROUNDING * abs(one.maximum)
-                _note(self._outside, place, times, own, is_outside)
+                _note_occurrences(self._outside, place, times, own, is_outside)
             for mask, bits, text in one.not_valid:
                 has = (np.nan_to_num(own).astype(np.int64) & mask) == bits
-                _note(self._not_valid, (place, text), times, own, has)
+                _note_occurrences(self._not_valid, (place, text), times, own, has)
 
     def _note_falls(
         self,
@@ -366,7 +370,7 @@ class Movements:
         return [(self.values[place], text, seen) for (place, text), seen in self._not_valid.items()]
 
 
-def _note(
+def _note_occurrences(
     seen: dict[K, Occurrence], key: K, times: Int64s, numbers: Floats, has: npt.NDArray[np.bool_]
 ) -> None:
     number = int(has.sum())

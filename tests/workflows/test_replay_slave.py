@@ -66,7 +66,7 @@ def test_a_recording_answers_as_its_slave_did(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(2))
     run = SlaveRun(str(path), SlaveOptions(on_miss=OnMiss.EXCEPTION, rate=None))
-    shell = run.on(ANYWHERE).shell
+    shell = run.create_slave(ANYWHERE).shell
     assert isinstance(shell, TcpSlave)
     with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
         assert master.ask(1, READ) == VALUES
@@ -159,7 +159,7 @@ def test_a_recording_cannot_be_played_on_an_interface(tmp_path: Path) -> None:
     path.write_bytes(capture_file())
     run = SlaveRun(str(path), SlaveOptions())
     with pytest.raises(UsageError, match="a slave needs rtu:PORT"):
-        run.on(parse_link("net:eth0"))
+        run.create_slave(parse_link("net:eth0"))
 
 
 def test_the_bytes_of_a_line_are_a_recording_like_any_other(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_the_bytes_of_a_line_are_a_recording_like_any_other(tmp_path: Path) -> N
 
 
 def _slave(path: Path, **options: object) -> PlayedSlave:
-    return SlaveRun(str(path), SlaveOptions(**options)).on(ANYWHERE)  # type: ignore[arg-type]
+    return SlaveRun(str(path), SlaveOptions(**options)).create_slave(ANYWHERE)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_a_wrong_crc_of_the_recording_comes_again_where_it_is_wanted() -> None:
     link = parse_link("rtu+tcp:127.0.0.1:0")
     for with_damage, expected in ((True, [wrong]), (False, [])):
         run = SlaveRun(str(path), SlaveOptions(with_damage=with_damage, rate=None))
-        slave = run.on(link)
+        slave = run.create_slave(link)
         answers = [slave.respond(1, READ, 0) for _ in range(8)]
         damaged = [
             wire_pieces(answer, Transport.RTU_TCP, 1)[0][1]
