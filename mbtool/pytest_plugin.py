@@ -115,7 +115,7 @@ def mbtool_line() -> Iterator[MakesLine]:
 
     with ExitStack() as opened:
 
-        def make(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> mbtool.SerialBench:
+        def make(settings: str = "rtu", *, ends: int = 2) -> mbtool.SerialBench:
             return opened.enter_context(line(settings, ends=ends))
 
         yield make

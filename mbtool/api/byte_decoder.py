@@ -38,7 +38,7 @@ class ByteDecoder:
     Bytes never raise: bytes that cannot be read become an event that contains them.
     """
 
-    def __init__(self, link: str = "rtu@19200-8E1", *, devices: Devices | None = None) -> None:
+    def __init__(self, link: str = "rtu", *, devices: Devices | None = None) -> None:
         """`link` says where the bytes come from.
 
         It is a serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",

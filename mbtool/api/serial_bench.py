@@ -40,7 +40,7 @@ class SerialBench:
         self._line.close()
 
 
-def line(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> SerialBench:
+def line(settings: str = "rtu", *, ends: int = 2) -> SerialBench:
     """Make a virtual serial line; characters take as long on it as on a real one.
 
     `ends` is the number of ports that it connects, all of which hear each other. It works on Linux

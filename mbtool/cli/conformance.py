@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, TimeoutOption, listen_ns
 from mbtool.cli.options import ListFormat
+from mbtool.core.limits import RESPONSE_TIMEOUT_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,12 +56,7 @@ def test(
             "slaves of the line.",
         ),
     ] = False,
-    timeout: Annotated[
-        float,
-        typer.Option(
-            "--timeout", metavar="S", min=0.001, max=60, help="How long to wait for an answer."
-        ),
-    ] = 1.0,
+    timeout: TimeoutOption = RESPONSE_TIMEOUT_S,
     repeat: Annotated[
         int, typer.Option("--repeat", metavar="N", min=1, help="Run all cases so often.")
     ] = 1,

@@ -41,6 +41,13 @@ if TYPE_CHECKING:
 # three, and all rows with this combination take these fields from it.
 
 
+_EMPTY = (
+    "sub_function", "write_address", "write_quantity", "verdicts", "device", "points",
+    "response_file", "request_offset", "response_offset", "request_parts_ns", "pair_confidence",
+)  # fmt: skip
+"""The columns that are null or an empty list in every row that is computed from the arrays."""
+
+
 class PlainTables:
     """Makes a pyarrow table of those transactions of a block that were read from arrays."""
 
@@ -117,9 +124,10 @@ class PlainTables:
             "destination_mac": _words_or_none(destination_macs, ends),
             "response_mac": _words_or_none(response_macs, ends),
             "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
+            **dict.fromkeys(_EMPTY),
         }
         return pa.Table.from_arrays(
-            [_column(field, columns.get(field.name), len(chosen)) for field in SCHEMA],
+            [_column(field, columns[field.name], len(chosen)) for field in SCHEMA],
             schema=SCHEMA,
         )
 

@@ -37,8 +37,8 @@ one."""
 CONNECTIONS_PER_SECOND = 100.0
 """The default of the most new TCP connections that a slave or a tap accepts in a second."""
 
-RESPONSE_TIMEOUT_NS = 1_000_000_000
-"""The default time in ns that a master waits for a response."""
+RESPONSE_TIMEOUT_S = 1.0
+"""The default time in s that a master waits for a response."""
 TURNAROUND_NS = 100_000_000
 """The default pause of a master after a broadcast, in ns (Serial Line V1.02, 2.4.1: typically 100
 to 200 ms)."""
@@ -48,7 +48,7 @@ to 200 ms)."""
 class LinkLimits:
     """The rules that a master keeps on a link: its timeout, its pauses, one request at a time."""
 
-    timeout_ns: int = RESPONSE_TIMEOUT_NS
+    timeout_ns: int = round(RESPONSE_TIMEOUT_S * 1_000_000_000)
     """The longest time that the master waits for a response, in ns."""
     one_at_a_time: bool = False
     """True on a serial line and on RTU over TCP: the master sends no request while another one

@@ -238,7 +238,7 @@ class _Vocabulary:
         if self.profile is None and known is not None and known.table and named.address is not None:
             # The general way below gives the same, but takes three times as long.
             address, quantity = named.address, named.quantity
-            codes = [*request_codes(named.function, address, quantity)]
+            codes = [*request_codes(named.function, address, quantity), *form_codes(named)]
             reference = write_reference(None, known.table, address, quantity)
             return msgspec.structs.replace(named, reference=reference, points=[], findings=codes)
         meaning = self._meaning(named)

@@ -67,7 +67,6 @@ READ_BYTES = 4096
 _LEAST_TLS_WAIT_S = 0.001
 LONGEST_WAIT_S = 3600.0
 MAX_UNREAD = 16
-ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
 """The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
 for them (Windows)."""
@@ -267,7 +266,7 @@ class MasterLink(ABC):
 
 def open_master(
     link: LinkSpec,
-    timeout_ns: int = ASK_TIMEOUT_NS,
+    timeout_ns: int,
     on_remark: Callable[[str], None] = lambda _: None,
     tls: TargetTls | None = None,
 ) -> MasterLink:

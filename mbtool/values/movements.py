@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from mbtool.devices.point_types import PointType
-from mbtool.values.word_readings import FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -385,14 +384,12 @@ def _note_occurrences(
 
 def _numbers_of(columns: npt.NDArray[np.uint16], reading: WordReading) -> Floats:
     """Return the numbers in some registers, one for each row; NaN for digits that are not BCD."""
-    form = FORMATS.get(reading.type)
     if reading.order.is_low_first:
         columns = columns[:, ::-1]
     raw = np.ascontiguousarray(columns.astype("<u2" if reading.order.is_swapped else ">u2"))
-    if form is not None:
+    code = reading.type.struct_code
+    if code is not None:
         with np.errstate(invalid="ignore"):
-            return raw.view(f">{form}")[:, 0].astype(np.float64)
-    octets = raw.view(np.uint8)
-    digits = np.stack([octets >> 4, octets & 15], axis=2).reshape(len(raw), -1)
-    numbers = digits @ (10.0 ** np.arange(digits.shape[1])[::-1])
-    return np.where((digits > 9).any(axis=1), np.nan, numbers)
+            return raw.view(f">{code}")[:, 0].astype(np.float64)
+    numbers = [reading.type.number(row.tobytes()) for row in raw]
+    return np.array([np.nan if one is None else one for one in numbers], np.float64)

@@ -30,6 +30,7 @@ from mbtool.core import (
     InputError,
     OutputError,
     Packet,
+    SerialFormat,
     UsageError,
     WireEvent,
 )
@@ -569,10 +570,10 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
 
 def _spec(group: InputGroup, link: str) -> str:
     """Make the LINK text, such as `rtu:COM3@9600-8N1`, of a serial line that no log describes.
-    Unknown settings become the standard's, 19200-8E1.
+    Unknown settings become the standard's.
     """
     line = group.line_of(link)
     if line is None:
-        return f"rtu:{link}@19200-8E1"
+        return f"rtu:{link}@{SerialFormat()}"
     port = "".join("_" if each in ",@=:" else each for each in link)
     return f"{'ascii' if line.ascii else 'rtu'}:{port}@{line.format}"

@@ -15,6 +15,7 @@ from mbtool.workflows.diff import DiffOptions, compare
 from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
 from mbtool.workflows.shared.reading import ReadingOptions
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.fa3_session import MODEL, READ_X9, session
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def test_a_module_that_answers_any_unit_does_so_when_it_is_played(
     run = SlaveRun(str(path), SlaveOptions(reading=FA3, rate=None))
     with run.create_slave(ANYWHERE).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with open_master(TcpLink(shell.endpoint)) as master:
+        with open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             assert master.ask(unit, MODEL[0]) == answer
             assert master.ask(unit, READ_X9[0]) == READ_X9[1]
 
