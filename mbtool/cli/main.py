@@ -258,7 +258,7 @@ _ELSEWHERE = {
 and the advice. The advice is given only if the called command has this option; "" always holds."""
 
 
-def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
+def _advice_for_foreign_option(option: str | None, context: typer.Context | None) -> str | None:
     """Return the advice in _ELSEWHERE for an option that the called command does not have.
 
     Returns None if there is no advice. `context` belongs to the called command.
@@ -281,7 +281,7 @@ def _usage(error: typer.TyperException, command: str) -> str:
         context = context.parent
     where = context.command_path if context is not None else command
     wanted = getattr(error, "option_name", None)
-    if (instead := _elsewhere(wanted, context)) is not None:
+    if (instead := _advice_for_foreign_option(wanted, context)) is not None:
         message = f"{message.partition(' (')[0]}; {instead}"
     examples = examples_of(where)
     if message.startswith("Missing ") and examples is not None:

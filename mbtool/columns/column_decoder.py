@@ -3,9 +3,9 @@ other packets that may carry Modbus to the Decoder.
 """
 
 # A plain stretch is a series of request and response pairs of one connection, in order and without
-# a gap (stretches.py). Where a stretch begins, the Decoder is asked if the connection is at rest:
-# no request is pending and no byte is out of order. If it is at rest, the transactions are read
-# from the arrays, and the Decoder is told what it would have learned from them
+# a gap (stretches.py). Where a stretch begins, the Decoder is asked whether the connection is at
+# rest: no request is pending and no byte is out of order. If it is at rest, the transactions are
+# read from the arrays, and the Decoder is told what it would have learned from them
 # (decode/plain_stretch.py). If it is not, the Decoder is fed the stretch's packets up to its next
 # request, and is asked again there. The Decoder is fed all packets outside of stretches that may
 # carry Modbus, in the order of the file.

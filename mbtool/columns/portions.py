@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_rows import PlainRows
 
 MOST_VALUES = 3 * 1024 * 1024
-"""A portion has at most this many registers and bits, and those of one transaction more."""
+"""A portion has at most this many registers and bits, plus those of its last transaction."""
 
 
 def portions(decoded: DecodedBlock) -> Iterator[DecodedBlock]:

@@ -6,8 +6,8 @@ connection, with no segment missing or out of order. Works on the arrays of `Seg
 # each segment, in order and without a gap (decode/plain_stretch.py has the exact rule). A segment
 # continues the previous one of its connection if its sequence number and its acknowledgement number
 # are exactly the next ones of both directions. This module looks at the segments only. Only the
-# Decoder knows if a request or bytes were still pending on the connection when a stretch begins, so
-# the Decoder is asked before a stretch is used.
+# Decoder knows whether a request or bytes were still pending on the connection when a stretch
+# begins, so the Decoder is asked before a stretch is used.
 #
 # A hidden packet is one whose headers this package cannot read as arrays, such as an IP fragment or
 # a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.

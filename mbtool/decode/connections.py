@@ -339,7 +339,7 @@ class ConnectionDecoder:
             ]
             return [*self._report_losses(gaps, ts_ns), *self._paired(events, direction)]
         self._progress[direction].take(place, len(data))
-        return self._placed(events, direction, ts_ns)
+        return self._pair_with_known_losses(events, direction, ts_ns)
 
     def _feed_datagram(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
@@ -458,7 +458,7 @@ class ConnectionDecoder:
             told, self._bus = self._bus.close(ts_ns), Bus(self._link, STREAM_LINE)
             return [*told, lost]
         events = self._splitters[direction].gap(missing)
-        decoded = self._placed(events, direction, ts_ns) if events else []
+        decoded = self._pair_with_known_losses(events, direction, ts_ns) if events else []
         cut = sum(event.missing for event in events if isinstance(event, Adu))
         known_ns = ts_ns if kind is EventKind.CUT else acknowledged_ns
         self._progress[direction].skip(missing, cut, known_ns)
@@ -494,7 +494,7 @@ class ConnectionDecoder:
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 
-    def _placed(
+    def _pair_with_known_losses(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
     ) -> list[Decoded]:
         """Give the ADUs of one direction to the pairing; return ADUs, transactions and events.

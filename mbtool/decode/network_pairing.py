@@ -508,7 +508,7 @@ class NetworkPairing:
             self._readings = without_costly(self._readings)
         first = self._readings[0]
         if len(self._readings) == 1:
-            self._show(first.steps, done)
+            self._emit_transactions(first.steps, done)
             first.steps = ()
         elif len(first.steps) > MAX_HELD:
             self._decide(done)
@@ -526,11 +526,11 @@ class NetworkPairing:
             )
         self._readings = [best]
         best.steps = ()
-        self._show(steps, done)
+        self._emit_transactions(steps, done)
         if others:
             self._doubt = OrderDoubt(_open_in(best), is_of_choice=True)
 
-    def _show(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
+    def _emit_transactions(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
         (reading,) = self._readings
         for step in steps:
             if step.response is not None:

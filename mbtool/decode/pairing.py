@@ -108,7 +108,7 @@ class _HeldChain(NamedTuple):
         with its own request.
         """
         return min(
-            self.responses[-1].end_ns + 2 * self._taken_ns,
+            self.responses[-1].end_ns + 2 * self._response_time_ns,
             self.requests[-2].end_ns + BUS_TIMEOUT_NS,
         )
 
@@ -117,11 +117,11 @@ class _HeldChain(NamedTuple):
         """The least time (ns) from the end of the unit's last response to its response to another
         request; a copy of the last response comes sooner.
         """
-        return int(APART * self._taken_ns)
+        return int(APART * self._response_time_ns)
 
     @property
-    def _taken_ns(self) -> int:
-        """The time that the unit took for its last answer if that is to the request before."""
+    def _response_time_ns(self) -> int:
+        """The time (ns) from the last request but one to the last response, which may answer it."""
         return self.responses[-1].start_ns - self.requests[-2].end_ns
 
 

@@ -25,7 +25,10 @@ class PlainStretch(NamedTuple):
     """A plain stretch: transactions in a row that the array decoder (columns/) decoded."""
 
     requests: PlainBytes
+    """Unit and PDU of the unanswered requests. A request with the same unit and PDU is a retry."""
     responses: PlainBytes
+    """Transaction id, unit and function code of the late responses that may still come to the
+    unanswered requests."""
     last_response_size: int
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]
@@ -44,7 +47,8 @@ class PlainLimits(NamedTuple):
     responses: frozenset[tuple[int | None, int, int]]
     """Transaction id, unit and function code that a late response to them has."""
     until_ns: int
-    """The time (UTC ns) at which the first of them is closed."""
+    """The time (UTC ns) at which the Decoder gives up the first of the unanswered requests. The
+    array decoder may take only transactions whose response comes before it."""
 
 
 NO_LIMITS = PlainLimits(frozenset(), frozenset(), 2**63 - 1)

@@ -61,7 +61,7 @@ def with_response(
     if Verdict.SPLIT in request.verdicts and Verdict.SPLIT not in response.verdicts:
         noticed.append(Verdict.ONLY_REQUEST_SPLIT)
     if request.missing or response.missing:
-        return _cut(ends, request, response, noticed, confidence)
+        return _truncated_transaction(ends, request, response, noticed, confidence)
     facts, pdu = _request_facts(request.pdu), response.pdu
     exception, outcome = None, Outcome.OK
     values: list[int] | None
@@ -111,7 +111,7 @@ def _read_response(
     return exception, outcome, _response_values(facts.pdu, response)
 
 
-def _cut(
+def _truncated_transaction(
     ends: Ends, request: Adu, response: Adu, verdicts: list[Verdict], confidence: float
 ) -> Transaction:
     """Make the transaction of a request and its response, of which one was not captured whole."""

@@ -30,13 +30,13 @@ from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_checks import (
     Ranges,
-    data_finding,
-    exception_finding,
+    data_finding_code,
+    exception_finding_code,
     fixed_data,
     has_other_data,
     request_findings,
-    unit_finding,
-    value_finding,
+    unit_finding_code,
+    value_finding_code,
     value_ranges,
     values_outside,
     written_by_17h,
@@ -283,15 +283,15 @@ class _Vocabulary:
         findings += form_codes(transaction)
         profile = self._rules
         if transaction.unit > self._last_unit and transaction.transport.is_serial:
-            findings.append(unit_finding(profile, transaction.unit))
+            findings.append(unit_finding_code(profile, transaction.unit))
         if profile is not None:
             fixed = self._fixed_data.get(transaction.function)
             if fixed is not None and has_request and has_other_data(transaction, fixed):
-                findings.append(data_finding(profile, transaction.function))
+                findings.append(data_finding_code(profile, transaction.function))
             if transaction.response_raw is not None:
                 findings += response_findings(profile, transaction, findings)
             if transaction.exception is not None:
-                undocumented = exception_finding(
+                undocumented = exception_finding_code(
                     profile, transaction.function, transaction.exception
                 )
                 findings += [undocumented] if undocumented is not None else []
@@ -300,7 +300,7 @@ class _Vocabulary:
                 if transaction.function == READ_WRITE_REGISTERS:
                     written = [point for point in points if point.written]
                 if values_outside(self._ranges, written):
-                    findings.append(value_finding(profile, transaction.function))
+                    findings.append(value_finding_code(profile, transaction.function))
         return findings
 
     def _compile(self, profile: Profile) -> None:

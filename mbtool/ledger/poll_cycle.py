@@ -231,7 +231,7 @@ period by at most this share of the median."""
 _REGULAR_SHARE = 0.7
 """A poll is regular if at least this share (0 to 1) of its periods are. If two different periods
 alternate, only half of them are, so the poll is not regular."""
-_PERIOD_SUM = 1.3
+_MAX_MEAN_TO_MEDIAN = 1.3
 """A poll is regular only if its mean period is at most this many times its median period. If a poll
 comes several times in a cycle, close together, its median period is short, and this excludes it."""
 _SOON = 0.5
@@ -532,7 +532,7 @@ def _regular_period(times: Sequence[int]) -> float | None:
     is_regular = (
         usual > 0
         and len(near) >= _REGULAR_SHARE * len(periods)
-        and sum(periods) <= _PERIOD_SUM * usual * len(periods)
+        and sum(periods) <= _MAX_MEAN_TO_MEDIAN * usual * len(periods)
     )
     return usual if is_regular else None
 

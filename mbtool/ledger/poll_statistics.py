@@ -31,7 +31,8 @@ _STEADY = 8
 """If a poll without a usual period comes this many times at equal distances and gets no response,
 its requests are polls and no retries."""
 GIVEN_UP = RequestTally()
-"""Shared by all polls that were given up, as there may be many; it stays empty."""
+"""The tally of each poll whose own tally was given up, to save memory: many polls share this one
+object. It stays empty."""
 
 
 class RetryChange(NamedTuple):

@@ -24,8 +24,7 @@ MAX_HOURS = 768
 """A row whose bins are an hour wide or wider has at most this many bins: 32 days of hours. Beyond
 it, its bins become wider."""
 MAX_CELLS = 1 << 20
-"""All rows together have at most this many bins; beyond it, the most bins of each row are
-halved."""
+"""If all rows together have more bins than this, the limit of bins of each row is halved."""
 _MS = 1_000_000
 _S = 1000 * _MS
 HOUR_NS = 3600 * _S

@@ -83,10 +83,10 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 MIN_RECORDS = 1 << 18
-_COUNTED = 16
-"""A message with joined serial reads becomes many items, one for each read, which takes at least 2
-bytes of the message. So it counts as 1 plus its length in bytes divided by this number. A batch
-ends as soon as its messages count BATCH in all."""
+_BYTES_PER_COUNTED_ITEM = 16
+"""A message of joined serial reads becomes one item for each read, and a read takes at least 2
+bytes. In the size of a batch, such a message counts as 1 plus its length in bytes divided by this
+number. A batch ends as soon as its messages count BATCH in all."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
@@ -192,7 +192,9 @@ class MessageDecoder:
                 if schema in wanted:
                     if left == BATCH:
                         batch.begin_ns = log_ns
-                    left -= 1 if schema != schemas.EVIDENCE else 1 + length // _COUNTED
+                    left -= (
+                        1 if schema != schemas.EVIDENCE else 1 + length // _BYTES_PER_COUNTED_ITEM
+                    )
                     last_ns = log_ns
                     add(data[at + _DATA_AT : to])
                     add_schema(schema)

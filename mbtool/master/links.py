@@ -73,14 +73,15 @@ for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
 """A request that waits for a pause of another master fails after this time (ns)."""
 _LONGEST_LATER_TURN_NS = 180_000_000_000
-"""As LONGEST_TURN_NS, once a request was sent in a pause: then long pauses come, but a short one,
-such as before a request that the other master sent out of turn, may hide them for a while."""
+"""The limit in place of LONGEST_TURN_NS once a request was sent in a pause (ns). Pauses that are
+long enough are then known to come, but after a short pause, as before a request that the other
+master sent out of turn, it may take a while until one counts again."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
-MOST_TIMES = 3
-"""On a busy machine, the wait for a response takes at most this many times as long as it should."""
+MAX_WAIT_STRETCH = 3
+"""On a busy machine, the wait for a response takes at most this many times its set length."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -91,14 +92,14 @@ class Patience:
 
     A wait that takes longer than that, as this process got no processor, counts as SLICE_NS: the
     slave may be on the same machine, and what it sent meanwhile is read at the next look. So the
-    time may become longer, but at most MOST_TIMES as long.
+    time may become longer, but at most MAX_WAIT_STRETCH times as long.
     """
 
     def __init__(self, wait_ns: int, most_ns: int = SLICE_NS) -> None:
         """A single wait counts as `most_ns` at most."""
         self._wait_ns, self._most_ns = wait_ns, most_ns
         self._looked_ns = time.monotonic_ns()
-        self._end_ns = self._looked_ns + MOST_TIMES * wait_ns
+        self._end_ns = self._looked_ns + MAX_WAIT_STRETCH * wait_ns
         self._waited_ns = 0
 
     def next_ns(self) -> int:

@@ -25,8 +25,8 @@ MAX_PENDING_NS = 1_000_000_000
 """A request is pending for at most this time, in ns; after that the master may send again. Serial
 Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""
 ENOUGH_CHANGES = 3
-"""The directions count as known after this many requests that differ from the response before them,
-if that response repeated its request; see `BusState.changes`."""
+"""The directions count as known once this many requests differed from the response before them,
+where that response had repeated its own request; see `BusState.changes`."""
 MAX_STATES = 4
 """The most bus states that are considered possible at once."""
 

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
 REMEMBERED = 256
-"""The most frames for which it is remembered if they keep the limits of a request. In doubt, the
-same frame is asked about several times."""
+"""The size of the cache of _breaks_limits, in PDUs. In doubt, the cost of the same frame is asked
+for several times."""
 USUAL_TIMEOUT_NS = 200_000_000
 """Masters seldom wait less than this, in ns, for a response."""
 

@@ -3,7 +3,7 @@
 # Three steps decide the bytes, from the cheapest to the most expensive. The first decides most
 # bytes of a working line, so the search runs only where something is unclear.
 #
-# 1. The fast path (fast_path.py) tells if the next frame is certain, or certainly incomplete.
+# 1. The fast path (fast_path.py) tells whether the next frame is certain, or certainly incomplete.
 # 2. At a silence of t3.5, the search (search.py) explains the buffered bytes. All are returned
 #    except an incomplete frame, which an adapter may have split. It stays buffered until HOLD_NS
 #    after its last byte, or HOLD_DUE_NS if it is the frame that is due. The bytes before the

@@ -352,7 +352,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                 ready, _, _ = select.select(waited_for, [], [], _SOON_S if held else _TICK_S)
                 is_running = told not in ready
                 asked_ns = now_ns()
-                with self._inbox.first():
+                with self._inbox.fetching_first():
                     self._clocks.look()
                     more = self._fetch()
                     for _ in range(0 if is_running else _LAST_FETCHES):
@@ -474,7 +474,7 @@ def capture_trouble() -> PortTrouble | None:
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    # Open a packet socket to see if the kernel permits it. It is bound to no protocol, so it
+    # Open a packet socket to see whether the kernel permits it. It is bound to no protocol, so it
     # receives nothing.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()

@@ -64,8 +64,8 @@ MAX_HELD = 256
 MAX_LABELS = 256
 MAX_PART = 2 * MAX_RTU_ADU
 MAX_BEGINS = 8
-"""A frame other than RTU is found in the first piece since the last frame and what follows, or in
-the last pieces, at most this many."""
+"""A frame other than RTU is looked for at the beginnings of at most this many of the last pieces of
+bytes, and of the first piece since the last frame."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
 ENOUGH = 4
@@ -79,10 +79,12 @@ MAX_MISSES = 32
 dump of one frame are 17 at most."""
 
 FEW_MISSES = 16
+"""At its end, a log with too little evidence is still taken for Modbus if at most this many runs of
+bytes were no frame, and a word or arrow gave an RTU frame its direction."""
 FEWEST_MISSES = 4
-"""A log with too little evidence counts at its end if at most this many runs of bytes are no frame:
-16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
-as most requests are, or of 5, as exception responses are, or several different ones."""
+"""The limit in place of FEW_MISSES if no RTU frame has a direction by a word or arrow, but there is
+an RTU frame of 8 bytes, as most requests are, or of 5, as exception responses are, or at least two
+different RTU frames."""
 
 _MARKED = 2
 _USUAL_SIZES = (5, 8)

@@ -79,10 +79,10 @@ ENOUGH = 20
 MOSTLY = 0.5
 """The trouble of one unit, or a small one, is the cause of another trouble only if it has at least
 this share (0 to 1) of the other's cases."""
-PIECES = 4
-"""Adapters tear the bytes of one damaged frame into several pieces. So the trouble of a unit is the
-cause of bytes that are no frame (RTU-201, RTU-202) if these are at most this many times as many as
-its cases."""
+PIECES_PER_CASE = 4
+"""An adapter may deliver the bytes of one damaged frame in several pieces. So the trouble of a unit
+or line explains bytes that are no frame (RTU-201, RTU-202) if there are at most this many of them
+for each case of the trouble."""
 CHANCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""
@@ -336,7 +336,7 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
         return not cause.is_small or cause.count >= MOSTLY * other.count
     is_of_line = other.unit is None or other.words.noun == "line" or other.code.startswith("RTU")
     is_of_unit = is_of_line or other.unit == cause.unit
-    share = 1 / PIECES if other.code in _BYTES else MOSTLY
+    share = 1 / PIECES_PER_CASE if other.code in _BYTES else MOSTLY
     return is_of_unit and cause.count >= share * other.count
 
 

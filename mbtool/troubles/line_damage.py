@@ -83,11 +83,15 @@ WAITS = 1000
 SOON = 0.85
 """A request that comes within this share (0 to 1) of the median time for which this line's masters
 wait for missing answers did not follow a time-out: another master sent it."""
-OTHER_LENGTH = 0.5
-"""A share (0 to 1) that decides if a unit has two slaves: at least this share of its requests had
-damage behind them, less than this share of that damage follows the request to another unit without
-an answer in time, and, without extra bytes, at least this share of its damaged answers have another
-length than asked for, or begin with wrong bytes."""
+MIN_DAMAGED_REQUESTS = 0.5
+"""A unit has two slaves only if at least this share (0 to 1) of its requests had damage or a second
+answer behind them."""
+MAX_AFTER_LATE = 0.5
+"""A unit has two slaves only if less than this share (0 to 1) of the damage after its requests
+follows a request to another unit without an answer in time, whose late answer may be the cause."""
+MIN_WRONG_ANSWERS = 0.5
+"""If damaged answers of a unit have no extra bytes, they show two slaves only if at least this
+share (0 to 1) of them has another length than asked for, or begins with wrong bytes."""
 EXTRA = 0.25
 """A unit has two slaves if at least this share (0 to 1) of the damage after its requests has more
 bytes than asked for."""
@@ -148,7 +152,7 @@ class _DamagedUnit:
     before: Counter[int] = field(default_factory=Counter)
     """By unit, how often it was asked right before a request whose answer is damaged or has damaged
     bytes behind it."""
-    in_wakes: int = 0
+    after_late: int = 0
     """The number of damaged frames after a request to another unit that was not answered in time,
     and whose late answer may have done it."""
     asked: int = 0
@@ -326,7 +330,7 @@ class LineDamage(SortedSense):
         unit = line.unit(last.unit)
         before = line.before
         if before is not None and before.outcome in _NOT_IN_TIME:
-            unit.in_wakes += bool(answer)
+            unit.after_late += bool(answer)
         elif before is not None and answer and last.start_ns - before.start_ns <= SECOND_NS:
             unit.before[before.unit] += 1
         if last.outcome is not Outcome.NO_ANSWER:
@@ -491,16 +495,18 @@ def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds
-    if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):
+    if not others or collided < max(
+        ENOUGH, MIN_DAMAGED_REQUESTS * unit.asked, MOSTLY * line.damaged
+    ):
         return False
-    if unit.in_wakes >= OTHER_LENGTH * collided:
+    if unit.after_late >= MAX_AFTER_LATE * collided:
         return False
     if unit.longer + unit.after + unit.seconds >= EXTRA * collided:
         return True
     if unit.damaged < MOSTLY * unit.asked:
         return False
-    is_other = unit.shorter + unit.longer >= OTHER_LENGTH * unit.damaged
-    is_garbled = unit.garbled >= OTHER_LENGTH * unit.damaged
+    is_other = unit.shorter + unit.longer >= MIN_WRONG_ANSWERS * unit.damaged
+    is_garbled = unit.garbled >= MIN_WRONG_ANSWERS * unit.damaged
     return is_garbled or (is_other and len(unit.lengths) >= LENGTHS)
 
 

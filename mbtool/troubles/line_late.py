@@ -3,14 +3,14 @@
 # The decoder marks late responses. The time-out is the time from a request without a response in
 # time to the next request on the line.
 #
-# A late answer may collide with the next request, so that nobody can read it. A wake is the time in
-# which this can happen: it begins with the next request, and lasts as long as the master waited for
-# the answer. So two kinds of units count as late without readable late answers:
+# A late answer may collide with the next request, so that nobody can read it. A disturbed window is
+# the time in which this can happen: it begins with the next request and lasts as long as the master
+# waited for the answer. So two kinds of units count as late without readable late answers:
 #
 # - units some of whose answers come just before the time-out (NEAR), while others are missing;
-# - units that answer some requests in time, if damaged frames come in the wakes of their missing
+# - units that answer some requests in time, if damaged frames come in the windows of their missing
 #   answers and hardly at other times. A unit that never answers in time may be dead, so it counts
-#   as late only if another unit's request fails in most of these wakes.
+#   as late only if another unit's request fails in most of these windows.
 #
 # False alarms: an answer to a damaged request may be taken for a late answer to the request before.
 # So a response directly after damaged bytes does not count as late. If many frames are damaged, a
@@ -18,7 +18,7 @@
 # it got the answer, and the recording lacks it.
 #
 # Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units; the last requests
-# and damaged frames (RECENT of each) and the open wakes for each of at most MAX_LINKS links.
+# and damaged frames (RECENT of each) and the open windows for each of at most MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -58,14 +58,18 @@ line."""
 PACE = 1.1
 """A master has waited for its time-out if its wait (ns) is at least this many times its median time
 from an answered request to the next one."""
-OFTEN = 0.5
-"""A share (0 to 1). A unit without late answers is blamed for damage only if at least this share of
-its wakes (the times after its unanswered requests) has damage, and its wakes are at most this share
-of the recording. On a line with at least this many damaged frames for each late or missing answer,
-damage explains these unless the master waited for them."""
-MOSTLY = 0.8
-"""A unit that never answers in time is blamed for damage only if in at least this share (0 to 1) of
-its wakes a request to another unit failed, too."""
+DAMAGE_PER_LATE_ANSWER = 0.5
+"""If a line has at least this many damaged frames for each late or missing answer of a unit, damage
+explains these answers, unless the master has waited for its time-out."""
+MIN_DAMAGED_WINDOWS = 0.5
+"""A unit that answers some requests in time is blamed for damage only if at least this share (0 to
+1) of its disturbed windows (_DisturbedWindow) has damage."""
+MIN_FAILED_WINDOWS = 0.8
+"""A unit that never answers in time is blamed for damage only if at least this share (0 to 1) of
+its disturbed windows has damage and a failed request to another unit."""
+MAX_WINDOWS_SHARE = 0.5
+"""A unit is blamed for damage only if its disturbed windows take at most this share (0 to 1) of the
+recording. If they took more, damage would come in them by chance."""
 ITS_OWN = 0.7
 """Damage on a line is blamed on a unit's late answers only if at least this share (0 to 1) of it
 follows requests to this unit that were not answered in time."""
@@ -88,26 +92,26 @@ class _LateUnit:
     request."""
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
-    wakes: int = 0
-    """The number of times after a request to this unit that was not answered in time (_Wake)."""
-    wakes_ns: int = 0
-    """The sum of the lengths of these times, in ns."""
-    damaged_wakes: int = 0
-    spoilt_wakes: int = 0
-    """The number of damaged wakes in which another unit's request failed."""
+    windows: int = 0
+    """The number of disturbed windows after requests to this unit."""
+    windows_ns: int = 0
+    """The sum of the lengths of the disturbed windows, in ns."""
+    damaged_windows: int = 0
+    failed_windows: int = 0
+    """The number of damaged windows in which another unit's request failed."""
     damage: int = 0
-    """The number of damaged frames in wakes."""
+    """The number of damaged frames in disturbed windows."""
 
 
 @dataclass(slots=True)
-class _Wake:
+class _DisturbedWindow:
     """The time in which a late answer to a request of a unit may disturb other requests."""
 
     unit: _LateUnit
     end_ns: int
     is_damaged: bool = False
     has_failed: bool = False
-    """True if a request of another unit got no answer in it."""
+    """True if a request to another unit got no answer in this window."""
 
 
 @dataclass(slots=True)
@@ -122,7 +126,7 @@ class _LateLine:
     """The times (ns) of the last damaged frames."""
     damaged: int = 0
     units: set[int] = field(default_factory=set)
-    wakes: list[_Wake] = field(default_factory=list)
+    windows: list[_DisturbedWindow] = field(default_factory=list)
     begin_ns: int | None = None
     end_ns: int = 0
 
@@ -146,7 +150,7 @@ class LateOnLine(SortedSense):
         for name, line in self._lines.items():
             self._resolve(name, line, None)
             line.last = None
-            line.wakes.clear()
+            line.windows.clear()
 
     def flush(self) -> None:
         super().flush()
@@ -161,11 +165,11 @@ class LateOnLine(SortedSense):
         self._resolve(event.link, line, event.ts_ns)
         line.damage.append(event.ts_ns)
         line.damaged += 1
-        for wake in line.wakes:
-            wake.unit.damage += 1
-            wake.unit.damaged_wakes += not wake.is_damaged
-            wake.unit.spoilt_wakes += not wake.is_damaged and wake.has_failed
-            wake.is_damaged = True
+        for window in line.windows:
+            window.unit.damage += 1
+            window.unit.damaged_windows += not window.is_damaged
+            window.unit.failed_windows += not window.is_damaged and window.has_failed
+            window.is_damaged = True
 
     def take_transaction(self, one: NamedTransaction) -> None:
         if one.request_ns is None or (line := self._line(one.link)) is None:
@@ -175,8 +179,8 @@ class LateOnLine(SortedSense):
         line.end_ns = one.request_ns
         self._note_wait(line, one)
         if one.outcome is Outcome.NO_ANSWER:
-            for wake in line.wakes:
-                wake.has_failed |= wake.unit is not self._unit(one)
+            for window in line.windows:
+                window.has_failed |= window.unit is not self._unit(one)
         line.requests.append(one.request_ns)
         line.units.add(one.unit)
         if one.outcome is Outcome.LATE:
@@ -200,8 +204,10 @@ class LateOnLine(SortedSense):
         return unit
 
     def _resolve(self, link: str, line: _LateLine, now_ns: int | None) -> None:
-        """Close the wakes and take the late answers that end before `now_ns`; all if it is None."""
-        line.wakes = [wake for wake in line.wakes if now_ns is not None and wake.end_ns >= now_ns]
+        """Close windows and take late answers that end before `now_ns`; all of them if None."""
+        line.windows = [
+            window for window in line.windows if now_ns is not None and window.end_ns >= now_ns
+        ]
         for one in line.pending:
             response_ns = one.response_ns or 0
             if now_ns is not None and response_ns >= now_ns:
@@ -225,9 +231,9 @@ class LateOnLine(SortedSense):
         unit.waits.append(waited_ns)
         is_damaged = bool(line.damage) and line.damage[-1] >= before.request_ns
         if before.outcome is Outcome.NO_ANSWER and not is_damaged:
-            unit.wakes += 1
-            unit.wakes_ns += waited_ns
-            line.wakes.append(_Wake(unit, one.request_ns + waited_ns))
+            unit.windows += 1
+            unit.windows_ns += waited_ns
+            line.windows.append(_DisturbedWindow(unit, one.request_ns + waited_ns))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         self.flush()
@@ -247,7 +253,7 @@ class LateOnLine(SortedSense):
 def _unit_troubles(
     link: str, number: int, unit: _LateUnit, line: _LateLine, tally: RequestTally
 ) -> Iterator[Trouble]:
-    is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
+    is_noisy = line.damaged >= DAMAGE_PER_LATE_ANSWER * (unit.count + unit.missing)
     if is_noisy and not _is_waited_for(unit):
         return
     if unit.waits and median(unit.waits) < SHORTEST_TIMEOUT_NS:
@@ -316,15 +322,17 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
 
 
 def _is_cause_of_damage(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
-    """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
-    answers in time (`is_dead`), another request must fail in most wakes.
+    """True if damage comes in the disturbed windows of a unit and hardly elsewhere. For a unit that
+    never answers in time (`is_dead`), requests to other units must fail in most of these windows.
     """
-    wakes, often = (unit.spoilt_wakes, MOSTLY) if is_dead else (unit.damaged_wakes, OFTEN)
+    windows, share = unit.damaged_windows, MIN_DAMAGED_WINDOWS
+    if is_dead:
+        windows, share = unit.failed_windows, MIN_FAILED_WINDOWS
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        wakes >= max(ENOUGH, often * unit.wakes)
+        windows >= max(ENOUGH, share * unit.windows)
         and unit.damage >= ITS_OWN * line.damaged
-        and unit.wakes_ns <= OFTEN * watched_ns
+        and unit.windows_ns <= MAX_WINDOWS_SHARE * watched_ns
     )
 
 

@@ -66,10 +66,12 @@ ENOUGH = 3
 MORE = 2
 """A unit is the cause of NET-BLOCKED only if requests to others waited for it at least this many
 times as often as its requests waited for others."""
-MOSTLY = 0.5
-"""A share (0 to 1). A request was blocked if it spent at least this share of its wait on one
-request to another unit. A unit is a victim if at least this share of its slow requests was
-blocked."""
+MIN_BLOCKED_WAIT = 0.5
+"""A request was blocked if one request to another unit took at least this share (0 to 1) of its
+wait for its turn."""
+MIN_BLOCKED_REQUESTS = 0.5
+"""A unit is a victim if at least this share (0 to 1) of its slow requests was blocked, both over
+the whole recording and while the other unit blocked requests."""
 EVEN = 0.15
 """Waits of a master count as its time-out if they differ from their median by at most this share
 (0 to 1)."""
@@ -425,7 +427,8 @@ def _blocked_troubles(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Troub
         told = sorted(
             number
             for number, count in victims.items()
-            if count >= MOSTLY * then[number] and len(of_unit[number]) >= MOSTLY * own[number]
+            if count >= MIN_BLOCKED_REQUESTS * then[number]
+            and len(of_unit[number]) >= MIN_BLOCKED_REQUESTS * own[number]
         )
         if not told:
             continue
@@ -465,7 +468,7 @@ def _blocked_requests(slow: Iterable[_Slow]) -> Iterator[_BlockedRequest]:
             if one.begin_ns < end <= end_ns and end - turn >= SLOW_NS
         ]
         longest_ns, turn, end, unit = max(waited, default=(0, 0, 0, one.unit))
-        if unit != one.unit and longest_ns >= MOSTLY * (turn_ns - one.begin_ns):
+        if unit != one.unit and longest_ns >= MIN_BLOCKED_WAIT * (turn_ns - one.begin_ns):
             yield _BlockedRequest(one, unit, turn, end - turn)
         if turn_ns < end_ns <= one.begin_ns + LONGEST_NS:
             recent.append((turn_ns, end_ns, one.unit))

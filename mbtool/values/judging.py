@@ -71,8 +71,9 @@ registers."""
 _SMALL = 256
 """A constant register with less than this, beside one of _LARGE_SPREAD, may be the high half of its
 number."""
-_FILLING = (0, 0xFFFF)
-"""The values of a high half whose number of two registers is small, positive or negative."""
+_SIGN_EXTENSION = (0, 0xFFFF)
+"""The two values that the high half of a number of two registers has if the number fits the low
+half: 0, and FFFFH if the number is negative."""
 
 
 def doubtful(
@@ -107,7 +108,7 @@ def doubtful(
             columns[other.at][0]
             for other, _ in beside
             if all(map(_is_constant, columns[other.at : other.at + other.words]))
-            and (other.kind is Kind.WORD or columns[other.at][0] in _FILLING)
+            and (other.kind is Kind.WORD or columns[other.at][0] in _SIGN_EXTENSION)
         ]
         if candidate.kind is Kind.WORD:
             found.append(_is_doubtful_word(columns[candidate.at], fillings))
@@ -116,7 +117,7 @@ def doubtful(
             is_evident = _is_evident(candidate, order, columns)
             moves = not all(map(_is_constant, columns[candidate.at : candidate.at + 2]))
             is_settled = moves and (is_evident or vouched)
-            found.append(not is_settled or any(one in _FILLING for one in fillings))
+            found.append(not is_settled or any(one in _SIGN_EXTENSION for one in fillings))
         else:
             found.append(False)
     return found
@@ -126,7 +127,7 @@ def _is_doubtful_word(column: Sequence[int], beside: Sequence[int]) -> bool:
     if _is_constant(column):
         return True
     is_wide = max(column) - min(column) >= _LARGE_SPREAD
-    return any(one in _FILLING or (is_wide and one < _SMALL) for one in beside)
+    return any(one in _SIGN_EXTENSION or (is_wide and one < _SMALL) for one in beside)
 
 
 def _is_evident(candidate: Candidate, order: Order, columns: Sequence[Sequence[int]]) -> bool:

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 MAX_SEEN = 10_000
 """A user can give at most this many numbers."""
 MAX_POWER = 30
-"""A number has digits from this power of ten down to its inverse."""
+"""The first digit of a number stands at most at this power of ten, and its last digit at least at
+the same power below zero: up to about 1e30, in steps of at least 1e-30."""
 AROUND_NS = 60 * SECOND_NS
 """A time of day up to this long before a recording (ns) is not one of the next day."""
 

@@ -56,8 +56,8 @@ _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
 MOST_SILENT = 3
-"""After this many requests in a row without an answer, other requests are sent to see if the slave
-lives."""
+"""After this many requests in a row without an answer, other requests are sent to see whether the
+slave lives."""
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
 _LATE_NS = 3_000_000_000
 """An answer that does not come in time is waited for this much longer (ns), to tell a late one from
@@ -70,9 +70,10 @@ _RECOVERIES = 8
 _TRIES = 3
 """The answer to a frame with a pause inside or before it counts only if it is the same each of this
 many times: a slave on a busy computer may not see the pause."""
-_PAUSES = 8
-"""An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
-times, a machine with 22 processes for 2 cores made a false one."""
+_PAUSE_TRIES = 8
+"""An answer counts as one with a pause inside only if it has the pause each of this many times, as
+a busy machine makes pauses, too: with 3 times, a machine with 22 processes for 2 cores made a false
+one. A request with a pause inside is sent at most this many times."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
 _ASCII_PAUSE_NS = 500_000_000
@@ -85,7 +86,8 @@ _CONNECTIONS = 8
 SILENT_NS = 3_000_000_000
 """The time (ns) for which a TCP connection is left silent before it is used again."""
 _FREED_S = 0.1
-"""A slave has this time (s) to notice that connections were closed; several times over."""
+"""The time (s) between two of at most _RECOVERIES looks at whether the slave serves requests again,
+after many connections to it were closed."""
 
 
 _MOST_LOST = 2
@@ -278,7 +280,7 @@ class Conformance:
 
     def _pauses(self, pdu: bytes, heard: Heard) -> bool:
         """True if the answer pauses inside, and again each time that the request is repeated."""
-        for _ in range(_PAUSES):
+        for _ in range(_PAUSE_TRIES):
             if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
                 return False
             heard = self._repeated(self._wire.adu(self._unit, pdu))
@@ -417,7 +419,7 @@ class Conformance:
         and it is sent again.
         """
         judged = 0
-        for _ in range(_PAUSES):
+        for _ in range(_PAUSE_TRIES):
             heard = self._wire.send(halves, pause_ns, awaited=note is None)
             is_right = _is_right(heard, self._good) if note is None else not heard.raw
             lasting = self._lasting_problem(forgiven=1)

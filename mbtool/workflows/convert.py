@@ -75,8 +75,8 @@ T = TypeVar("T")
 
 DEVICE = "{device}"
 """In the name of the file to write, this stands for the name of a slave."""
-_NO_NAME = re.compile(r"[^\w.-]")
-"""The characters of a slave's name that a file's name does not get."""
+_UNFIT_FOR_FILE_NAME = re.compile(r"[^\w.-]")
+"""The characters of a slave's name that the name of a file must not have; each becomes `_`."""
 
 CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
 _REORDER_NS = 2_000_000_000
@@ -170,7 +170,7 @@ class Conversion:
         self._read_marks()
         groups = self._groups
         names = sorted({one for group in groups for one in group.marks.devices.values()})
-        paths = {name: out.replace(DEVICE, _NO_NAME.sub("_", name)) for name in names}
+        paths = {name: out.replace(DEVICE, _UNFIT_FOR_FILE_NAME.sub("_", name)) for name in names}
         for path in paths.values():
             check_path(Path(path), replace=overwrite)
         for name, path in paths.items():

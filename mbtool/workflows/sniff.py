@@ -51,7 +51,7 @@ HURRY_NS = 500_000_000
 """If the caller is in a hurry, decoding goes on for at most this time (ns) after recording has
 ended."""
 CLOCK_LOOK_NS = 100_000_000
-"""The time (ns) between two checks if somebody has set the system's clock."""
+"""The time (ns) between two checks of whether the system's clock was set."""
 POLL_S = 0.1
 """The loop waits at most this long (seconds) for an item before it calls `stop` again."""
 MAX_REASONS = 64

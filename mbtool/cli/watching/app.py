@@ -252,9 +252,9 @@ class PromptedApp(DrawnApp):
             self.tell("there is no filter; / makes one")
             return
         self.filter_is_on = not self.filter_is_on
-        self._thaw()
+        self._redraw_after_filter()
 
-    def _thaw(self) -> None:
+    def _redraw_after_filter(self) -> None:
         """Draw the screen after the filter has changed.
 
         A frozen screen is frozen again at this moment, since its rows passed the old filter.
@@ -298,7 +298,7 @@ class PromptedApp(DrawnApp):
             self.feed.set_filter(wanted)
             self.where = text.strip()
         self.filter_is_on = wanted is not None
-        self._thaw()
+        self._redraw_after_filter()
         return True
 
     def on_input_submitted(self) -> None:

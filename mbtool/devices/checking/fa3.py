@@ -63,8 +63,8 @@ RESET_NS = 2_000_000_000
 REJECTING_NS = 10_000_000_000
 """The time in ns after an unanswered alive check in which a module may refuse its master (10.2)."""
 GOES_ON_NS = 1_000_000_000
-"""If a module still answers on a connection this long (ns) after a third one opened, it has not
-dropped it."""
+"""A module should close a connection when a third one opens. If it answers a request that came on
+that connection more than this long (ns) after the third opened, it has not closed it."""
 _COUNT, _SPLIT = 0x00F4, 0x00F5
 _TIMERS = range(0x00F2, 0x00F6)
 """Addresses of the holding registers with the times of the alive check and of split reception."""

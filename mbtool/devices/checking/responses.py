@@ -55,7 +55,8 @@ EDGE_NS = 1_000_000_000
 capture's end."""
 
 USUAL = 0.25
-"""A request comes at the usual period of its poll if it differs from it by at most this share."""
+"""An equal request counts as the next poll, not as a retry, if its distance from the request before
+differs from the poll's usual period by at most this share of the period."""
 
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
 _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
@@ -151,7 +152,7 @@ class ResponseRules:
             earlier = self._pending.pop(request, None)
             if earlier:
                 self._pending_count -= len(earlier)
-                yield from self._repeated(earlier, transaction)
+                yield from self._report_unanswered_repeats(earlier, transaction)
             elif transaction.retries:
                 self._retries[request].append(_Retry(transaction))
 
@@ -277,7 +278,7 @@ class ResponseRules:
         if self._pending_count > MAX_PENDING:
             yield self._give_up_oldest()
 
-    def _repeated(
+    def _report_unanswered_repeats(
         self, earlier: Iterable[NamedTransaction], answered: NamedTransaction
     ) -> Iterator[Finding]:
         """Report the unanswered requests `earlier`, which equal the answered one."""

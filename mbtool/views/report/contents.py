@@ -53,9 +53,9 @@ MAX_ROWS = 1000
 MAX_CASES = 5
 MAX_BINS = 300
 REQUESTS_IN_BIN = 5
-"""A chart has at most as many bins as give each this many requests in the mean. Narrower bins would
-show single requests, as a comb; much wider ones would leave a capture of 100 requests only a
-few."""
+"""The bins of a chart have at least this many requests on average. In narrower bins a chart would
+show single requests, as a comb; in much wider ones a capture of 100 requests would have only a few
+bins."""
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {

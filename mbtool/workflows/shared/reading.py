@@ -99,7 +99,7 @@ class _LineBytes:
 
 class ExactTimes:
     """Counts the bytes of each serial line that come too soon after the byte before them, and so
-    decides if the line's times are exact.
+    decides whether the line's times are exact.
     """
 
     def __init__(self) -> None:
@@ -394,7 +394,7 @@ class Reading:
 
     def _heard_packets(self, capture: CaptureFile, packets: Iterator[Packet]) -> Iterator[Packet]:
         """Yield the packets unchanged. Count those with bytes of a serial line, and use these to
-        check if the assumed baud rate is too low.
+        check whether the assumed baud rate is too low.
         """
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
