@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 MAX_LINES = 65_536
 """If there are more templates than this, all are forgotten before the next block."""
-FEW = 4
+MIN_TEMPLATE_ROWS = 4
 """A template is made for a group that has at least this many rows in a block; the lines of smaller
 groups are made one by one, which is faster."""
 
@@ -151,8 +151,8 @@ class BlockLines:
         """Return templates (lines with %s in place of each field that differs within a group), and
         for each usual row the index of its template.
 
-        Rows of a group without a template that has fewer than FEW rows in this block are no longer
-        usual: to make a line of each is faster.
+        Rows of a group without a template that has fewer than MIN_TEMPLATE_ROWS rows in this block
+        are no longer usual: to make a line of each is faster.
         """
         chosen = np.flatnonzero(usual.is_usual)
         numbers: dict[object, int] = {}
@@ -174,7 +174,7 @@ class BlockLines:
         if len(self._forms) > MAX_LINES:
             self._forms.clear()
         is_new = np.array([key not in self._forms for key in keys], np.bool_)
-        is_rare = is_new & (counts < FEW)
+        is_rare = is_new & (counts < MIN_TEMPLATE_ROWS)
         new = np.flatnonzero(is_new & ~is_rare)
         made = objects.chosen(chosen[first[new]])
         for one, example in zip(new.tolist(), made, strict=True):

@@ -122,8 +122,9 @@ two have 16."""
 RECENT_WAITS = 16
 """The number of last waits of a master for a request without a response that are kept."""
 ENOUGH_WAITS = 3
-"""The number of about equal waits (EVEN) from which on they count as the master's time-out."""
-EVEN = 0.15
+"""The number of about equal waits (WAIT_TOLERANCE) from which on they count as the master's
+time-out."""
+WAIT_TOLERANCE = 0.15
 """Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
 RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
 DOUBTFUL = 0.5
@@ -652,7 +653,9 @@ class NetworkPairing:
         waited_ns = one.next_ns - one.since_ns
         if waited_ns < FIRST_LATE_NS:
             return False
-        equal = [each for each in self._waits if abs(each - waited_ns) <= EVEN * waited_ns]
+        equal = [
+            each for each in self._waits if abs(each - waited_ns) <= WAIT_TOLERANCE * waited_ns
+        ]
         return one.is_repeated or len(equal) >= ENOUGH_WAITS
 
     def _note_next(self, one: OpenRequest, request: Adu | None, at_ns: int) -> None:

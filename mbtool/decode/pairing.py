@@ -16,8 +16,9 @@
 # the next one. If the master certainly still waited, and only one request was sent since, the
 # response is in time: a second master has sent that request. If the times do not tell which of the
 # two is true, the response counts as late and ambiguous, until the line has shown ENOUGH_OVERTAKEN
-# such responses among the last RECENT_REQUESTS requests. From then on, equal waits (EQUAL) before
-# the next request are the time-out of one master, and different waits show two masters.
+# such responses among the last RECENT_REQUESTS requests. From then on, equal waits
+# (MIN_EQUAL_WAITS) before the next request are the time-out of one master, and different waits show
+# two masters.
 #
 # If bytes that belong to no frame follow a request, they are its damaged response, and the request
 # has no answer. A response that follows such bytes directly may answer a damaged request, so it is
@@ -71,10 +72,10 @@ another request and then answered. With one master, a response comes after the n
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
 """The number of last requests among which ENOUGH_OVERTAKEN must be overtaken and then answered."""
-EVEN = 0.5
+EVEN_ODDS = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request of
 the unit."""
-EQUAL = 0.8
+MIN_EQUAL_WAITS = 0.8
 """The waits before requests count as one time-out if the shortest is at least this share (0 to 1)
 of the longest. Then there is one master, and late responses do not prove two."""
 MAX_HELD = 4
@@ -88,7 +89,7 @@ TWO_MASTERS = (
     "not wait long enough"
 )
 
-APART = 0.25
+MIN_APART = 0.25
 """Two responses of a unit answer two requests if the second begins later than the end of the first
 by at least this share (0 to 1) of the time that the first took. A second copy of the same response
 comes sooner."""
@@ -117,7 +118,7 @@ class _HeldChain(NamedTuple):
         """The least time (ns) from the end of the unit's last response to its response to another
         request; a copy of the last response comes sooner.
         """
-        return int(APART * self._response_time_ns)
+        return int(MIN_APART * self._response_time_ns)
 
     @property
     def _response_time_ns(self) -> int:
@@ -309,7 +310,9 @@ class Pairing:
         # If only slaves are heard, an equal response is the response to the next request.
         is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
-        return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
+        return [
+            doubted(unsolicited(self._ends, response, outcome), EVEN_ODDS if is_doubted else 1.0)
+        ]
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
@@ -338,7 +341,7 @@ class Pairing:
             done += self._two_masters(response)
             is_late = not (earlier.waits or self._has_told)
             if is_late and not self._has_timeout():
-                confidence = EVEN
+                confidence = EVEN_ODDS
         done.append(
             self._answered_transaction(
                 earlier.adu, response, is_late=is_late, confidence=confidence
@@ -386,7 +389,7 @@ class Pairing:
         elif is_answer and response.raw == held.responses[-1].raw:
             # It may be a repeater's copy, too. Which of two equal requests got it is no question.
             is_retry = held.requests[0].raw == held.requests[1].raw
-            return self._release(unit, 1.0 if is_retry else EVEN)
+            return self._release(unit, 1.0 if is_retry else EVEN_ODDS)
         if not is_answer:
             return self._release(unit)
         del self._held[unit]
@@ -463,7 +466,7 @@ class Pairing:
         if len(found) < ENOUGH_OVERTAKEN or not self._ends.timed or any(one.waits for one in found):
             return False
         waits = [one.waited_ns for one in found]
-        return min(waits) >= max(EQUAL * max(waits), LatencyStatistics.MIN_RETRY_NS)
+        return min(waits) >= max(MIN_EQUAL_WAITS * max(waits), LatencyStatistics.MIN_RETRY_NS)
 
     def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
         """True if the response to a request may come after `end_ns`, when the capture ends."""

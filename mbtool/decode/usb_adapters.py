@@ -63,8 +63,8 @@ _USUAL_BAUDS = (
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
     2000000, 3000000,
 )  # fmt: skip
-"""The baud rates that a divisor's rate is compared with (_NEAR)."""
-_NEAR = 0.03
+"""The baud rates that a divisor's rate is compared with (_BAUD_TOLERANCE)."""
+_BAUD_TOLERANCE = 0.03
 """The rate of a divisor is shown as a usual baud rate if they differ by at most this share
 (0 to 1): two UARTs may differ by no more."""
 _PARITIES = ("N", "O", "E", "N", "N")
@@ -431,4 +431,4 @@ def _distance(rate: float) -> float:
 def _usual_baud_near(rate: float) -> int:
     """The usual baud rate next to a rate, if it is near; else the rate itself."""
     baud = min(_USUAL_BAUDS, key=lambda one: abs(rate - one) / one)
-    return baud if abs(rate - baud) <= _NEAR * baud else max(1, round(rate))
+    return baud if abs(rate - baud) <= _BAUD_TOLERANCE * baud else max(1, round(rate))

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _REFUSALS = (2, 3, 4)
 """The exception codes by which a slave refuses a range of addresses."""
-_WAITS = 3.0
+_MIN_PAUSE_RATIO = 3.0
 """A master is said to wait between its cycles if the pause before a cycle is longer than this many
 times the median pause between the requests of the cycle, and longer than _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
@@ -38,7 +38,7 @@ _BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
 """The baud rates for which a shorter cycle is forecast, if they are above the line's own."""
 _MOST_BAUDS = 2
 """A forecast names at most this many higher baud rates."""
-_SURE = 2.5
+_MIN_STANDARD_ERRORS = 2.5
 """The measured time for each further register is used if it exceeds the time of its bytes on the
 line by more than this many standard errors; else the difference may be chance."""
 
@@ -177,7 +177,7 @@ def _pause_and_busy(one: PollList[PollStatistics]) -> tuple[int, int]:
 
 
 def _is_waiting(one: PollList[PollStatistics], pause_ns: int) -> bool:
-    return one.steps[0].pause_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS)
+    return one.steps[0].pause_ns > max(_MIN_PAUSE_RATIO * pause_ns, _LEAST_WAIT_NS)
 
 
 def advise(
@@ -316,7 +316,8 @@ def _predicted(
 def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
     """Return the time (ns) that one register or bit more takes, by least squares.
 
-    Return `least` if the result is smaller, or exceeds it by at most _SURE standard errors.
+    Return `least` if the result is smaller, or exceeds it by at most _MIN_STANDARD_ERRORS standard
+    errors.
     """
     counts = [count for count, _ in points]
     if len(points) < 3 or len(set(counts)) < 2:
@@ -326,4 +327,4 @@ def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
     middle = mean(counts)
     width = sum((count - middle) ** 2 for count in counts)
     error = math.sqrt(rest / (len(points) - 2) / width)
-    return slope if slope - least > _SURE * error else least
+    return slope if slope - least > _MIN_STANDARD_ERRORS * error else least

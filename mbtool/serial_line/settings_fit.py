@@ -47,7 +47,7 @@ correct CRC or LRC."""
 ENOUGH_WITHOUT_FIT = 200
 """Listening at one serial format ends after this many bytes if its best setting has a fit below
 LIKELY_FIT."""
-ENOUGH = 600
+ENOUGH_BYTES = 600
 """Listening at one serial format ends after this many bytes: more would hardly change the
 scores."""
 
@@ -156,7 +156,7 @@ class SettingsTrial:
         best = self.scores()[0]
         return (
             best.is_sure
-            or self.heard >= ENOUGH
+            or self.heard >= ENOUGH_BYTES
             or (self.heard >= ENOUGH_WITHOUT_FRAME and not best.frames)
             or (self.heard >= ENOUGH_WITHOUT_FIT and best.fit < LIKELY_FIT)
         )

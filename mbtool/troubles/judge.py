@@ -71,19 +71,19 @@ def network_senses(cases: Cases) -> list[Sense]:
 
 Q = TypeVar("Q", bound="QuietRows")
 
-JOINED = 3
+MIN_JOINED = 3
 """Troubles with the same code are shown as one if at least this many units, links or masters have
 it."""
-ENOUGH = 20
+MIN_ANSWERED = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
-MOSTLY = 0.5
+MIN_EXPLAINED_SHARE = 0.5
 """The trouble of one unit, or a small one, is the cause of another trouble only if it has at least
 this share (0 to 1) of the other's cases."""
 PIECES_PER_CASE = 4
 """An adapter may deliver the bytes of one damaged frame in several pieces. So the trouble of a unit
 or line explains bytes that are no frame (RTU-201, RTU-202) if there are at most this many of them
 for each case of the trouble."""
-CHANCE = 1e-6
+MIN_CHANCE_OF_SILENCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""
 _BYTES = frozenset(("RTU-201", "RTU-202"))
@@ -107,7 +107,7 @@ class Judgement:
     @property
     def is_enough(self) -> bool:
         """True if enough requests were answered to say that all is well."""
-        return _count_answered(self._total) >= ENOUGH
+        return _count_answered(self._total) >= MIN_ANSWERED
 
     @property
     def level(self) -> str:
@@ -325,29 +325,31 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
         return other.sureness is Sureness.POSSIBLE
     if cause.code == "LINE-TWO-MASTERS" and other.code in ("LINE-SETTINGS", "LINE-FOREIGN"):
         # Masters that ask in step collide for seconds, always with the same bytes.
-        return cause.count >= MOSTLY * other.count
+        return cause.count >= MIN_EXPLAINED_SHARE * other.count
     if other.code not in cause.words.explains:
         return False
     if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
         if other.code == "UNIT-SILENT" and cause.of:
-            return (cause.count / cause.of) ** other.count >= CHANCE
-        return not cause.is_small or cause.count >= MOSTLY * other.count
+            return (cause.count / cause.of) ** other.count >= MIN_CHANCE_OF_SILENCE
+        return not cause.is_small or cause.count >= MIN_EXPLAINED_SHARE * other.count
     is_of_line = other.unit is None or other.words.noun == "line" or other.code.startswith("RTU")
     is_of_unit = is_of_line or other.unit == cause.unit
-    share = 1 / PIECES_PER_CASE if other.code in _BYTES else MOSTLY
+    share = 1 / PIECES_PER_CASE if other.code in _BYTES else MIN_EXPLAINED_SHARE
     return is_of_unit and cause.count >= share * other.count
 
 
 def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
-    """Join the same trouble of at least JOINED units, links or masters into one, worst first."""
+    """Join the same trouble of at least MIN_JOINED units, links or masters into one, worst
+    first.
+    """
     kinds: dict[tuple[str, bool], list[Trouble]] = {}
     for one in found:
         kinds.setdefault((one.code, one.is_small), []).append(one)
     for some in kinds.values():
         some.sort(key=lambda one: -one.weight)
-        if len(some) < JOINED:
+        if len(some) < MIN_JOINED:
             yield from some
         else:
             yield replace(some[0], others=tuple(some[1 : MAX_OTHERS + 1]))

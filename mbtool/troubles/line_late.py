@@ -7,18 +7,20 @@
 # the time in which this can happen: it begins with the next request and lasts as long as the master
 # waited for the answer. So two kinds of units count as late without readable late answers:
 #
-# - units some of whose answers come just before the time-out (NEAR), while others are missing;
+# - units some of whose answers come just before the time-out (NEAR_TIMEOUT), while others are
+#   missing;
 # - units that answer some requests in time, if damaged frames come in the windows of their missing
 #   answers and hardly at other times. A unit that never answers in time may be dead, so it counts
 #   as late only if another unit's request fails in most of these windows.
 #
 # False alarms: an answer to a damaged request may be taken for a late answer to the request before.
 # So a response directly after damaged bytes does not count as late. If many frames are damaged, a
-# master that sends its next request as soon as after an answer (PACE) did not wait for a time-out:
-# it got the answer, and the recording lacks it.
+# master that sends its next request as soon as after an answer (MIN_WAIT_TO_PACE) did not wait for
+# a time-out: it got the answer, and the recording lacks it.
 #
-# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units; the last requests
-# and damaged frames (RECENT of each) and the open windows for each of at most MAX_LINKS links.
+# Memory: MAX_EVIDENCE cases and KEPT_TIMES times for each of at most MAX_UNITS units; the last
+# requests and damaged frames (KEPT_FRAMES of each) and the open windows for each of at most
+# MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -39,23 +41,23 @@ if TYPE_CHECKING:
     from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
-ENOUGH = 3
-"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers are called late
-only if there are at least this many."""
-FEW = 0.01
-"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than
-this."""
+MIN_CASES = 3
+"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers, damaged windows
+and measured times count only if there are at least this many."""
+MIN_LATE_SHARE = 0.01
+"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than this.
+Missing answers with latencies near the time-out count only if they are at least this share."""
 SHORTEST_TIMEOUT_NS = 100_000_000
 """A request that comes less than this (ns) after one without an answer did not follow a time-out:
 another master sent it, or the recording lacks the answer."""
 MAX_UNITS = 500
 """Late answers are kept for at most this many units, of all links together."""
-TIMES = 200
-"""The last times (ns) of each kind that are kept of a unit."""
-RECENT = 64
-"""The times (ns) of at most this many last requests, and as many damaged frames, are kept of each
+KEPT_TIMES = 200
+"""The number of last times (ns) of each kind that are kept of a unit."""
+KEPT_FRAMES = 64
+"""The times (ns) of this many last requests, and of as many damaged frames, are kept of each
 line."""
-PACE = 1.1
+MIN_WAIT_TO_PACE = 1.1
 """A master has waited for its time-out if its wait (ns) is at least this many times its median time
 from an answered request to the next one."""
 DAMAGE_PER_LATE_ANSWER = 0.5
@@ -70,10 +72,10 @@ its disturbed windows has damage and a failed request to another unit."""
 MAX_WINDOWS_SHARE = 0.5
 """A unit is blamed for damage only if its disturbed windows take at most this share (0 to 1) of the
 recording. If they took more, damage would come in them by chance."""
-ITS_OWN = 0.7
+MIN_OWN_DAMAGE = 0.7
 """Damage on a line is blamed on a unit's late answers only if at least this share (0 to 1) of it
 follows requests to this unit that were not answered in time."""
-NEAR = 0.85
+NEAR_TIMEOUT = 0.85
 """Missing answers of a unit are called late if the 95th percentile of its latencies is at least
 this share (0 to 1) of the master's time-out."""
 
@@ -84,10 +86,10 @@ class _LateUnit:
 
     count: int = 0
     missing: int = 0
-    latencies: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
-    waits: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
+    latencies: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
+    waits: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
     """The times (ns) from requests without an answer in time to the master's next request."""
-    paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=TIMES))
+    paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
     """Pairs of times (ns) of answered requests: the latency, and the time from request to next
     request."""
     cases: list[Evidence] = field(default_factory=list)
@@ -120,9 +122,9 @@ class _LateLine:
     """The last transaction; it is judged once the master's next request is known."""
     pending: list[NamedTransaction] = field(default_factory=list)
     """Late transactions whose response is not reached yet."""
-    requests: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    requests: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
     """The times (ns) of the last requests."""
-    damage: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    damage: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
     """The times (ns) of the last damaged frames."""
     damaged: int = 0
     units: set[int] = field(default_factory=set)
@@ -258,10 +260,10 @@ def _unit_troubles(
         return
     if unit.waits and median(unit.waits) < SHORTEST_TIMEOUT_NS:
         return
-    if unit.count >= ENOUGH:
+    if unit.count >= MIN_CASES:
         yield _trouble(link, number, unit, tally.requests)
         return
-    is_dead = tally.latency.count < ENOUGH
+    is_dead = tally.latency.count < MIN_CASES
     if _is_cause_of_damage(unit, line, is_dead=is_dead):
         wait = _seconds_text(median(unit.waits))
         yield Trouble(
@@ -278,11 +280,14 @@ def _unit_troubles(
         )  # fmt: skip
         return
     wait_ns, slowest_ns = min(unit.waits, default=0), tally.latency.percentile(95)
-    is_missed = unit.missing >= ENOUGH and tally.latency.count >= ENOUGH
+    is_missed = unit.missing >= MIN_CASES and tally.latency.count >= MIN_CASES
     if not is_missed or wait_ns < SHORTEST_TIMEOUT_NS:
         if unit.count:
             yield _trouble(link, number, unit, tally.requests)
-    elif NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
+    elif (
+        NEAR_TIMEOUT * wait_ns <= slowest_ns <= wait_ns / NEAR_TIMEOUT
+        and unit.missing >= MIN_LATE_SHARE * tally.requests
+    ):
         yield Trouble(
             code="LINE-LATE",
             link=link,
@@ -305,8 +310,8 @@ def _is_waited_for(unit: _LateUnit) -> bool:
     if not unit.waits:
         return True
     wait_ns = median(unit.waits)
-    paces = [pace_ns for latency_ns, pace_ns in unit.paces if latency_ns < NEAR * wait_ns]
-    return len(paces) < ENOUGH or wait_ns >= PACE * median(paces)
+    paces = [pace_ns for latency_ns, pace_ns in unit.paces if latency_ns < NEAR_TIMEOUT * wait_ns]
+    return len(paces) < MIN_CASES or wait_ns >= MIN_WAIT_TO_PACE * median(paces)
 
 
 def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> None:
@@ -330,15 +335,15 @@ def _is_cause_of_damage(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> b
         windows, share = unit.failed_windows, MIN_FAILED_WINDOWS
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        windows >= max(ENOUGH, share * unit.windows)
-        and unit.damage >= ITS_OWN * line.damaged
+        windows >= max(MIN_CASES, share * unit.windows)
+        and unit.damage >= MIN_OWN_DAMAGE * line.damaged
         and unit.windows_ns <= MAX_WINDOWS_SHARE * watched_ns
     )
 
 
 def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
-    is_rare = late.count < ENOUGH
+    is_rare = late.count < MIN_CASES
     count = late.count if is_rare else max(late.count, late.missing)
     waits = _seconds_text(median(late.waits)) if late.waits else "less"
     return Trouble(
@@ -348,7 +353,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         count=count,
         of=max(requests, count),
         weight=count,
-        is_small=is_rare or count < FEW * requests,
+        is_small=is_rare or count < MIN_LATE_SHARE * requests,
         figures={
             "latency": _seconds_text(latency_ns),
             "timeout": waits,

@@ -12,7 +12,7 @@ answers.
 #              in their order: a gateway with one line. A request waits if a request of another
 #              master was sent before it and is answered WAIT_NS or more after it was sent; this
 #              time is its wait. The slave is shared if the latency of the requests of each poll
-#              rises with the wait, by as much (SLOPE), and if hardly a request (IN_ORDER) is
+#              rises with the wait, by as much (SLOPE), and if hardly a request (MIN_IN_ORDER) is
 #              answered before the one that it waited for. A server that handles requests in
 #              parallel shows no such rise.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
@@ -61,9 +61,9 @@ it."""
 UNANSWERED_NS = 1_000_000_000
 """A gateway's line is taken as blocked for at least this long (ns) by a request without an answer,
 as the capture does not show when the gateway gave it up."""
-ENOUGH = 3
+MIN_CASES = 3
 """The least number of blocked requests of NET-BLOCKED, or of late answers of NET-LATE."""
-MORE = 2
+MIN_BLOCKED_RATIO = 2
 """A unit is the cause of NET-BLOCKED only if requests to others waited for it at least this many
 times as often as its requests waited for others."""
 MIN_BLOCKED_WAIT = 0.5
@@ -72,21 +72,21 @@ wait for its turn."""
 MIN_BLOCKED_REQUESTS = 0.5
 """A unit is a victim if at least this share (0 to 1) of its slow requests was blocked, both over
 the whole recording and while the other unit blocked requests."""
-EVEN = 0.15
+WAIT_TOLERANCE = 0.15
 """Waits of a master count as its time-out if they differ from their median by at most this share
 (0 to 1)."""
 WAIT_NS = 40_000_000
 """A request waits for another master's request if that one is answered at least this long (ns)
 after it was sent."""
-ENOUGH_WAITS = 20
+MIN_WAITS = 20
 """NET-SHARED is reported from this many waiting requests on."""
-OFTEN = 0.1
+MIN_WAITING_SHARE = 0.1
 """NET-SHARED is reported only if at least this share (0 to 1) of the link's requests waits for
 another master's request."""
 SLOPE = (0.6, 1.5)
 """NET-SHARED is reported only if the rise of the latency with the wait (ns of latency for each ns
 of wait, from a linear fit) is in this range; 1 means that the wait is all of the delay."""
-IN_ORDER = 0.9
+MIN_IN_ORDER = 0.9
 """NET-SHARED is reported only if at least this share (0 to 1) of the waiting requests is answered
 after the request that they waited for."""
 SERVED_NS = 5_000_000
@@ -100,7 +100,7 @@ KEPT = 5000
 beyond it, the oldest is forgotten."""
 RECENT = 8
 """The last transactions of a connection, or requests of a line, that a new one is compared with."""
-OF_TIMEOUT = 0.8
+MIN_TIMEOUT_SHARE = 0.8
 """NET-LATE is reported only if at least this share (0 to 1) of the times at which a master had two
 requests open follows the same wait, its time-out. A master that pipelines sends at other times,
 too."""
@@ -292,14 +292,14 @@ class Gateways(Sense):
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
             cases = _cases_with_equal_wait(connection.late)
-            if len(cases) >= OF_TIMEOUT * connection.overlaps:
+            if len(cases) >= MIN_TIMEOUT_SHARE * connection.overlaps:
                 for case in cases:
                     late.setdefault((case[0].link, case[0].unit), []).append(case)
         for (link, unit), cases in late.items():
             distinct = _cases_with_equal_wait(
                 [*{case[0].start_ns: case for case in cases}.values()]
             )
-            if link in whole and len(distinct) >= ENOUGH:
+            if link in whole and len(distinct) >= MIN_CASES:
                 yield _late_answers_trouble(link, unit, distinct, asked.get((link, unit), 0))
 
 
@@ -310,7 +310,7 @@ def _cases_with_equal_wait(
     if not cases:
         return []
     usual_ns = median(waited_ns for _, waited_ns in cases)
-    return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
+    return [case for case in cases if abs(case[1] - usual_ns) <= WAIT_TOLERANCE * usual_ns]
 
 
 def _late_answers_trouble(
@@ -336,7 +336,10 @@ def _masters_wait_trouble(link: LinkReport, shared: _SharedLink) -> Iterator[Tro
     holders = _slower_units(shared.waiting, waits)
     waits = [one for one in waits if one.before.unit not in holders]
     number, asked = len(waits), link.tally.requests
-    if number < max(ENOUGH_WAITS, OFTEN * asked) or overtakes > (1 - IN_ORDER) * number:
+    if (
+        number < max(MIN_WAITS, MIN_WAITING_SHARE * asked)
+        or overtakes > (1 - MIN_IN_ORDER) * number
+    ):
         return
     groups: dict[tuple[str, int, int | None], list[_SharedWait]] = {}
     for one in waits:
@@ -421,7 +424,7 @@ def _blocked_troubles(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Troub
         first_ns, last_ns = blocked[0].of.begin_ns, blocked[-1].of.begin_ns
         then = Counter(one.unit for one in slow if first_ns <= one.begin_ns <= last_ns)
         back = sum(first_ns <= at_ns <= last_ns for at_ns in of_unit.get(unit, ()))
-        if len(blocked) < ENOUGH or len(blocked) < MORE * back:
+        if len(blocked) < MIN_CASES or len(blocked) < MIN_BLOCKED_RATIO * back:
             continue
         victims = Counter(one.of.unit for one in blocked)
         told = sorted(

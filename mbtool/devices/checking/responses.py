@@ -54,7 +54,7 @@ EDGE_NS = 1_000_000_000
 """If the capture ends less than this (ns) after a request, the response may have come after the
 capture's end."""
 
-USUAL = 0.25
+PERIOD_TOLERANCE = 0.25
 """An equal request counts as the next poll, not as a retry, if its distance from the request before
 differs from the poll's usual period by at most this share of the period."""
 
@@ -295,7 +295,7 @@ class ResponseRules:
         """True if `other` comes after the equal request `one` as the next poll does."""
         usual_ns = self._usual_period_ns(one)
         since_ns = other.start_ns - one.start_ns
-        return usual_ns is not None and abs(since_ns - usual_ns) <= USUAL * usual_ns
+        return usual_ns is not None and abs(since_ns - usual_ns) <= PERIOD_TOLERANCE * usual_ns
 
     def _give_up_oldest(self) -> Finding:
         request, transactions = next(iter(self._pending.items()))
