@@ -207,7 +207,7 @@ def run(arguments: list[str]) -> int:
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError) and code != exit_codes.UNREADABLE:
-            return _refused(error)
+            return _report_os_error(error)
     return code
 
 
@@ -235,7 +235,7 @@ def _run_command(arguments: list[str]) -> int:
     except BrokenPipeError:
         return exit_codes.DONE  # The reader of the output, such as head, has closed it.
     except OSError as error:
-        return _refused(error)
+        return _report_os_error(error)
     return exit_codes.DONE
 
 
@@ -289,7 +289,7 @@ def _usage(error: typer.TyperException, command: str) -> str:
     return f"{message}; see {where} --help"
 
 
-def _refused(error: OSError) -> int:
+def _report_os_error(error: OSError) -> int:
     """Print an error of the operating system, usually from writing to standard output.
 
     Returns the exit code.

@@ -156,15 +156,15 @@ class ColumnDecoder:
         `numbers` has the flow number of each segment.
         """
         if self._may_skip(block, headers, numbers):
-            yield self._passed(block, headers, numbers)
+            yield self._decode_arrays(block, headers, numbers)
         elif len(block) <= SMALLEST:
-            yield self._fed(block)
+            yield self._decode_singly(block)
         else:
             middle = len(block) // 2
             for begin, end in ((0, middle), (middle, len(block))):
                 yield from self._feed(*_part(block, headers, numbers, begin, end))
 
-    def _passed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
+    def _decode_arrays(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
         stretches = find_stretches(headers, numbers, block.data)
         taken = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches)
         decoded = taken.run()
@@ -201,7 +201,7 @@ class ColumnDecoder:
         last_ns = int(block.ts_ns.max())
         return not self._decoder.reassembler.may_drop(last_ns, used, len(headers.hidden))
 
-    def _fed(self, block: PacketBlock) -> DecodedBlock:
+    def _decode_singly(self, block: PacketBlock) -> DecodedBlock:
         decoded = DecodedBlock()
         for index in range(len(block)):
             for record in self._decoder.feed(block.packet(index)):

@@ -155,7 +155,7 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
         return _PcapBlocks(source, form, name).blocks()
     if magic == PCAPNG_MAGIC:
         return _PcapngBlocks(source, name).blocks()
-    return _packed(read_capture(source, name))  # type: ignore[arg-type]
+    return _pack_blocks(read_capture(source, name))  # type: ignore[arg-type]
 
 
 class _Source:
@@ -341,7 +341,7 @@ class _PcapngBlocks:
     def blocks(self) -> Iterator[PacketBlock]:
         source, reader = self._source, self._reader
         while source.peek(_BLOCK_HEAD):
-            yield from _packed(self._singly_read_packets())
+            yield from _pack_blocks(self._singly_read_packets())
             while not reader.has_lines:
                 block, is_full = self._enhanced_packets()
                 if block is None:
@@ -479,7 +479,7 @@ def _octets(data: bytes, begin: int, end: int) -> Octets:
     return np.frombuffer(data, np.uint8, end + SPARE - begin, begin)
 
 
-def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
+def _pack_blocks(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
     """Collect packets into blocks of at most BLOCK_PACKETS.
 
     If reading a packet fails, the error is raised after all packets before it were yielded.

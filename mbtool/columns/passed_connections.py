@@ -98,7 +98,7 @@ def take_whole_connections(
         _connection(each, is_lower=lower, number=number)
         for number, (each, lower) in enumerate(zip(ends, is_lower, strict=True), first)
     ]
-    ended = _ended(segments, whole, connections, is_lower)
+    ended = _ended_connections(segments, whole, connections, is_lower)
     decoder.reassembler.take_ended(zip(ends, ended, strict=True))
     return PassedConnections(
         connections=connections,
@@ -112,7 +112,7 @@ def take_whole_connections(
     )
 
 
-def _ended(
+def _ended_connections(
     segments: Segments,
     whole: WholeConnections,
     connections: list[Connection],

@@ -190,10 +190,10 @@ class BlockLines:
         prints nothing.
         """
         if not self._order:
-            line = self._line_of(_marked(like, is_full=True))
+            line = self._line_of(_with_marks(like, is_full=True))
             places = {name: line.index(_mark_of(name)) for name in (*_MARKS, *_TIMES)}
             self._order = sorted(places, key=places.__getitem__)
-        line = self._line_of(_marked(like, is_full=False)).replace("%", "%%")
+        line = self._line_of(_with_marks(like, is_full=False)).replace("%", "%%")
         for name in (*_NUMBERS, *_LISTS):
             # JSON puts a mark in quotes, as a text. Remove them, because a number takes its place.
             line = line.replace(f'"{_MARKS[name]}"', _MARKS[name])
@@ -270,7 +270,7 @@ def _mark_of(name: str) -> str:
     return str(_MARK_NS) if name == "request_ns" else _MARKS[name]
 
 
-def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
+def _with_marks(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
     """Return the transaction `like` with a mark in each field that differs within a group.
 
     If `is_full`, a list of values that is None is replaced by a mark, too.
@@ -288,10 +288,10 @@ def _hex(rows: PlainRows, begins: Int64s, sizes: Int64s) -> list[str]:
     the offset `begins[i]` on.
     """
     text = pieces(rows.data, begins, sizes).tobytes().hex()
-    return [*_cut(text, 2 * sizes)]
+    return [*_pieces(text, 2 * sizes)]
 
 
-def _cut(text: str, sizes: Int64s) -> Iterator[str]:
+def _pieces(text: str, sizes: Int64s) -> Iterator[str]:
     ends = np.cumsum(sizes)
     for begin, end in zip((ends - sizes).tolist(), ends.tolist(), strict=True):
         yield text[begin:end]

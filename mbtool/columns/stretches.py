@@ -134,7 +134,7 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
         from_master=segments.from_master[chosen],
         run=runs[places],
     )
-    payloads, data = _joined(payloads, data)
+    payloads, data = _join_split_requests(payloads, data)
     transactions, starts = _pair(payloads, data)
     bounds = np.concatenate([starts, [len(transactions.request)]])
     sent_again = np.flatnonzero(repeats)
@@ -172,7 +172,7 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
     return follows
 
 
-def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
+def _join_split_requests(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
     """Join the two payloads of each request that came in two segments.
 
     Returns the payloads, with each joined pair as one payload, and the data with the bytes of the

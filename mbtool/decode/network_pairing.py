@@ -535,7 +535,7 @@ class NetworkPairing:
         (reading,) = self._readings
         for step in steps:
             if step.response is not None:
-                done.append(self._responded(step.response, step))
+                done.append(self._transaction_of(step.response, step))
                 self._mark_others_answerable(step.response, step)
                 continue
             for one in step.requests:
@@ -556,7 +556,7 @@ class NetworkPairing:
             if is_same_id and one.can_get(response, step.place):
                 one.may_be_answered = True
 
-    def _responded(self, response: Adu, step: PairStep) -> Transaction:
+    def _transaction_of(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
             outcome = Outcome.UNSOLICITED
             if self._may_lack_request_of(response):

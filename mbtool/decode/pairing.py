@@ -233,7 +233,7 @@ class Pairing:
                 done += self._release(pending.unit)
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
-            pending = _doubted(pending, request)
+            pending = _with_doubt(pending, request)
             if self._is_damaged and not waits:
                 done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
                 done.append(self._unanswered_request(pending))
@@ -478,7 +478,7 @@ class Pairing:
         return no_answer(self._ends, request, self._unanswered.add(request))
 
 
-def _doubted(pending: Adu, request: Adu) -> Adu:
+def _with_doubt(pending: Adu, request: Adu) -> Adu:
     """Return the pending request, with the confidence of `request` if that may answer it.
 
     `request` was taken for a request, and may be a response that repeats the pending one or, of a

@@ -124,7 +124,7 @@ def _truncated_transaction(
         facts,
         whole.exception_code if whole is not None else None,
         outcome=Outcome.NOT_CAPTURED,
-        request_values=_listed(facts.values),
+        request_values=_value_list(facts.values),
         response_values=_response_values(facts.pdu, whole) if whole is not None else None,
         request_ns=request.end_ns,
         response_ns=response.end_ns,
@@ -213,7 +213,7 @@ def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITE
         _RequestFacts.of(Pdu(pdu.function, pdu.fields, None)),
         pdu.exception_code,
         outcome=outcome,
-        response_values=_listed(_values(pdu)),
+        response_values=_value_list(_values(pdu)),
         response_ns=response.end_ns,
         retries=0,
         response_raw=response.raw,
@@ -234,7 +234,7 @@ def _alone(
         facts,
         None,
         outcome=outcome,
-        request_values=_listed(facts.values),
+        request_values=_value_list(facts.values),
         request_ns=request.end_ns,
         retries=retries,
         request_raw=request.raw,
@@ -416,5 +416,5 @@ def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
     return None if values is None else list(values)
 
 
-def _listed(values: tuple[int, ...] | None) -> list[int] | None:
+def _value_list(values: tuple[int, ...] | None) -> list[int] | None:
     return None if values is None else list(values)

@@ -206,7 +206,7 @@ class UsbAdapters:
         elif transfer.is_completion and transfer.data:
             setup = self._setups.pop(key, b"")
             if setup and setup[0] & 0x80:
-                _described(device, setup, transfer.data)
+                _note_description(device, setup, transfer.data)
         elif transfer.data and key in self._setups:
             _set_up(device, self._setups[key], transfer.data)
 
@@ -405,7 +405,7 @@ def _cp210x_settings(device: _Device, request: _Request, data: bytes) -> bool:
     return True
 
 
-def _described(device: _Device, setup: bytes, data: bytes) -> None:
+def _note_description(device: _Device, setup: bytes, data: bytes) -> None:
     """Take what a device says of itself: its maker, and the size of its packets."""
     kind, request, value, _, _ = _SETUP.unpack(setup)
     if request != _GET_DESCRIPTOR or kind & 0x7F:

@@ -356,7 +356,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
             file, key, f"expected a table, {{ key = value }}, not {_value_text(value)}"
         )
     _refuse_unknown(cls, value, file, key)
-    for name in _required(cls):
+    for name in _required_fields(cls):
         if name not in value:
             about = description(cls, name).partition("\n")[0].removesuffix(".")
             raise ProfileError(
@@ -376,7 +376,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
 
 
 @functools.cache
-def _required(cls: type[msgspec.Struct]) -> list[str]:
+def _required_fields(cls: type[msgspec.Struct]) -> list[str]:
     return [field.name for field in msgspec.structs.fields(cls) if field.required]
 
 

@@ -210,7 +210,7 @@ def advise(
             if len(run) > 1:
                 span = _span(run)
                 before = sum(step.took_ns for step in run)
-                saved_ns += before - _predicted(steps, len(span), character_ns)
+                saved_ns += before - _predicted_time_ns(steps, len(span), character_ns)
                 saved += len(run) - 1
                 merged.append(
                     MergedRead(
@@ -300,7 +300,7 @@ def _span(run: Sequence[PollStep[PollStatistics]]) -> range:
     return range(min(each.start for each in ranges), max(each.stop for each in ranges))
 
 
-def _predicted(
+def _predicted_time_ns(
     steps: Sequence[PollStep[PollStatistics]], quantity: int, character_ns: float | None
 ) -> int:
     """The time (ns) that a read of this quantity would take, by those of other quantities."""

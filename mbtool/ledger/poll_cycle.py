@@ -109,7 +109,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
     tried = [
         cycles
         for (_, poll), at in recurring[:_TRANSITIONS]
-        if (cycles := _cut(starts, poll, at)) is not None
+        if (cycles := _cut_cycles(starts, poll, at)) is not None
     ]
     if not tried:
         return None
@@ -118,7 +118,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
     return _well_begun(min(tied, key=lambda one: (len(one.usual), -one.share)), places)
 
 
-def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
+def _cut_cycles(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
     """Cut the requests `starts` before each index in `places`; each cycle then begins with the poll
     `first`.
 
@@ -151,7 +151,7 @@ def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -
     first = pauses.index(max(pauses))
     if _is_one_pace(pauses, cycles):
         first = usual.index(cycles.starts[0].poll) if cycles.starts[0].poll in usual else 0
-    begun = _cut(cycles.starts, usual[first], places[usual[first - 1], usual[first]])
+    begun = _cut_cycles(cycles.starts, usual[first], places[usual[first - 1], usual[first]])
     is_same = begun is not None and begun.usual == usual[first:] + usual[:first]
     return begun if begun is not None and is_same else cycles
 
@@ -167,7 +167,7 @@ def step_pauses(cycles: CutCycles[P]) -> list[float]:
     before it and the beginning of its request.
     """
     pauses = [after.begin_ns - before.end_ns for before, after in pairwise(cycles.starts)]
-    usual = [begin for (begin, _), is_usual in _marked(cycles) if is_usual]
+    usual = [begin for (begin, _), is_usual in _cycle_marks(cycles) if is_usual]
     found = []
     for step in range(len(cycles.usual)):
         # The pause before the first request of the capture is unknown.
@@ -176,7 +176,7 @@ def step_pauses(cycles: CutCycles[P]) -> list[float]:
     return found
 
 
-def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
+def _cycle_marks(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
     """For each cycle, a pair: the indices in `cycles.starts` at which it begins and ends (the end
     not included), and True if its polls are exactly those of the usual cycle.
     """
@@ -204,7 +204,7 @@ def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
     """
     whole: list[int] = []
     missing: list[int] = []
-    for (begin, end), is_usual in _marked(cycles):
+    for (begin, end), is_usual in _cycle_marks(cycles):
         if is_usual and end < len(cycles.starts):
             time = cycles.starts[end].begin_ns - cycles.starts[begin].begin_ns
             is_missing = any(one.is_missing for one in cycles.starts[begin:end])
@@ -216,7 +216,7 @@ def number_of_other_cycles(cycles: CutCycles[P]) -> int:
     """The number of cycles that are not exactly the usual one. The last cycle is left out, as the
     capture may end before the cycle does.
     """
-    return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])
+    return sum(not is_usual for _, is_usual in _cycle_marks(cycles)[:-1])
 
 
 MOST = 0.9

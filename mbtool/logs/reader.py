@@ -153,7 +153,7 @@ class MessageDecoder:
             batch = _Batch(record.offset)
             at = self._walk(data, at, wanted, batch)
             if batch.raw:
-                yield from self._decoded(batch)
+                yield from self._decode_batch(batch)
 
     def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
         """Collect up to BATCH messages of the wanted schemas into `batch`.
@@ -205,7 +205,7 @@ class MessageDecoder:
         self._walked = walked
         return at
 
-    def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:
+    def _decode_batch(self, batch: _Batch) -> Iterator[list[LogItem]]:
         """Decode a batch; yield its items in one list, or in several if a message is damaged.
 
         If items between the previous batch and this one are lost, a list with a GAP event comes
@@ -231,7 +231,7 @@ class MessageDecoder:
         order, raw = batch.order, batch.raw
         kinds = set(order)
         if kinds == {schemas.EVIDENCE}:
-            return _merged(self._decoded_alike(schemas.EVIDENCE, raw))
+            return _merge_evidence(self._decoded_alike(schemas.EVIDENCE, raw))
         if len(kinds) == 1:
             return self._decoded_alike(order[0], raw)
         found = {}
@@ -243,7 +243,7 @@ class MessageDecoder:
         items: list[LogItem] = []
         for is_evidence, run in groupby(order, _EVIDENCE.__contains__):
             some = [next(found[schema]) for schema in run]
-            items += _merged(some) if is_evidence else some
+            items += _merge_evidence(some) if is_evidence else some
         return items
 
     def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[Any]:
@@ -330,7 +330,7 @@ def _items_of(schema: str, data: bytes) -> list[LogItem]:
     return [message if schema in _ARE_ITEMS else message.item()]
 
 
-def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
+def _merge_evidence(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
     """Return the captured chunks and packets of several messages in one list.
 
     An element of `evidence` is what one message holds: one item, or a list of serial reads. If the

@@ -383,7 +383,7 @@ class TcpMaster(MasterLink):
         return [
             response
             for event in [*rest, *self._splitter.feed(data, arrived_ns)]
-            if (response := self._matched(event)) is not None
+            if (response := self._match_response(event)) is not None
         ]
 
     def _report_failed(self, error: OSError) -> None:
@@ -420,7 +420,7 @@ class TcpMaster(MasterLink):
             self.socket.close()
             self.socket = None
 
-    def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
+    def _match_response(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):
             self._unread.append(event)
             return None
@@ -470,14 +470,14 @@ class TcpMaster(MasterLink):
         if not self._link.is_udp:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
-            connected = self._secured(connected, *self._tls)
+            connected = self._open_tls(connected, *self._tls)
         note_arrivals(connected)
         self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(
             Direction.RESPONSE, is_udp=self._link.is_udp
         )
         return connected
 
-    def _secured(
+    def _open_tls(
         self, connected: socket.socket, context: ssl.SSLContext, name: str
     ) -> socket.socket:
         """Return the connection after a TLS handshake. Raises LinkError if TLS fails."""
@@ -559,7 +559,7 @@ class SerialMaster(MasterLink):
             for event in events:
                 self._note_intrusion(event)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
-            responses = [self._matched(event) for event in events if isinstance(event, Adu)]
+            responses = [self._match_response(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0 and not data:
                 break
         return responses
@@ -746,7 +746,7 @@ class SerialMaster(MasterLink):
             time.sleep(min(wait_s, _POLL_S))
         return bool(self._port.in_waiting)
 
-    def _matched(self, adu: Adu) -> ReceivedResponse:
+    def _match_response(self, adu: Adu) -> ReceivedResponse:
         number, unit = self._pending if self._pending is not None else (-1, -1)
         is_other = self._other is not None and not (
             self._expected is not None and self._expected.fits(adu.pdu)

@@ -130,7 +130,7 @@ class FastPath:
                 return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)
         if self._is_never_decided(unit, pdu, start_ns):
-            return size, self._undecided(unit, pdu, start_ns)
+            return size, self._doubtful_classification(unit, pdu, start_ns)
         cost = model.cost(model.state, unit, pdu, classified.direction, start_ns)
         if cost > _MAX_COST and not (
             cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
@@ -244,7 +244,7 @@ class FastPath:
         """
         return not self._model.history.timed and self._model.may_be_retry(unit, pdu, start_ns)
 
-    def _undecided(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
+    def _doubtful_classification(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
         """Return the likelier direction of a frame that equals the one before, as doubtful.
 
         If it is a retry, a request remains without a response.

@@ -471,7 +471,7 @@ class RtuSplitter:
             if segment.kind is SegmentKind.INCOMPLETE or not 0 < size <= decidable:
                 return False
             if segment.kind is SegmentKind.FRAME:
-                classified = self._classified(segment)
+                classified = self._classification_of(segment)
                 is_clear = classified.confidence >= NO_RIVAL_CONFIDENCE
                 doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
                 self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
@@ -499,7 +499,7 @@ class RtuSplitter:
         else:
             self._model.hear_damage()
 
-    def _classified(self, segment: Segment) -> Classification:
+    def _classification_of(self, segment: Segment) -> Classification:
         """Return the direction of a frame that the search has found, and what decided it."""
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, segment.confidence)

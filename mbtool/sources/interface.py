@@ -336,7 +336,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         hardware = listener.getsockname()[3]
         unreadable = hardware_trouble(hardware)
         if unreadable is not None:
-            raise LinkError(f"{_called(self._link, name)}: {unreadable}")
+            raise LinkError(f"{_link_text(self._link, name)}: {unreadable}")
         _prepare(listener, port_filter(self._ports, is_loopback=hardware == _ARPHRD_LOOPBACK))
         return _LINK_TYPES[hardware]
 
@@ -512,7 +512,7 @@ def hardware_trouble(hardware: int) -> PortTrouble | None:
 def _open(link: InterfaceLink, name: str) -> Any:
     interfaces = [name for _, name in socket.if_nameindex()]
     is_any = name == ANY_INTERFACE
-    of = _called(link, name)
+    of = _link_text(link, name)
     if sys.platform == "linux" and not is_any and name not in interfaces:
         raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
     # Check the permission before scapy is imported: the import takes time, and scapy's error
@@ -538,7 +538,7 @@ def _open(link: InterfaceLink, name: str) -> Any:
         raise LinkError(f"{of}: cannot listen: {why}") from error
 
 
-def _called(link: InterfaceLink, name: str) -> str:
+def _link_text(link: InterfaceLink, name: str) -> str:
     """Return the link as text, with the interface's name behind it if the link has several."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 

@@ -383,7 +383,7 @@ def _choose(heads: dict[int, _Head], line: LineSettings, rate: int) -> list[_Cha
     tolerance = rate / line.format.baud
     for one in heard:
         together = [*chosen, one]
-        gained = _framed(_in_order(together), line, rate)[0]
+        gained = _framed_characters(_in_order(together), line, rate)[0]
         if gained > framed:
             framed = gained
         elif framed or any(
@@ -401,7 +401,7 @@ def _hear(number: int, head: _Head, line: LineSettings, rate: int) -> _HeardUart
         characters = head.characters(line.format, rate, level)
         if not _are_sent(characters):
             continue
-        framed, _ = _framed(characters, line, rate)
+        framed, _ = _framed_characters(characters, line, rate)
         if best is None or framed > best.framed:
             best = _HeardUart(_Channel(number, level), characters, framed)
     return best
@@ -417,7 +417,7 @@ def _are_frames(characters: Sequence[Character], line: SerialFormat, rate: int) 
     A channel of RS-232 carries the requests or the responses only. Random bytes have a frame with a
     correct CRC now and then, but hardly two, and hardly one of the form that its function tells.
     """
-    framed, frames = _framed(characters, LineSettings(line), rate)
+    framed, frames = _framed_characters(characters, LineSettings(line), rate)
     return any(map(_has_known_form, frames)) and framed >= LIKELY_FIT * min(
         len(characters), _MOST_TRIED
     )
@@ -429,7 +429,7 @@ def _has_known_form(frame: Adu) -> bool:
     return any(pdu_length(frame.pdu, way) == len(frame.pdu) for way in ways)
 
 
-def _framed(
+def _framed_characters(
     characters: Sequence[Character], line: LineSettings, rate: int
 ) -> tuple[int, list[Adu]]:
     """Return the number of the first characters that are in frames with a correct checksum.

@@ -247,14 +247,14 @@ class TextFrames:
                 self._parts.pop(label.text, None)
                 break
         else:
-            found = self._joined(choices[0], label, row)
+            found = self._join_pieces(choices[0], label, row)
         shown = [_FoundFrame(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
             choices[0], label, ts_ns, row
         )
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not shown)
         if not shown and self._pending is not None:
-            shown = self._damaged(choices[0], self._pending, label, ts_ns, row)
+            shown = self._damaged_response(choices[0], self._pending, label, ts_ns, row)
         frames = [frame for one in shown for frame in self._frame(one, label)]
         if self.is_modbus:
             if self._held:
@@ -284,7 +284,7 @@ class TextFrames:
         part = self._parts.get(label.text)
         return part is not None and bool(label.text) and row - part.row <= MAX_LINES_APART
 
-    def _damaged(
+    def _damaged_response(
         self, data: bytes, asked: TextFrame, label: Label, ts_ns: int | None, row: int
     ) -> list[_FoundFrame]:
         """Return the response to the last request if it has its length, but a wrong CRC.
@@ -332,7 +332,7 @@ class TextFrames:
             self._evidence = 0
             self._held.clear()
 
-    def _joined(self, data: bytes, label: Label, row: int) -> list[tuple[Transport, bytes]]:
+    def _join_pieces(self, data: bytes, label: Label, row: int) -> list[tuple[Transport, bytes]]:
         part = self._parts.pop(label.text, None)
         if part is None or row - part.row > MAX_LINES_APART:
             part = _OpenBytes()
@@ -402,10 +402,12 @@ class TextFrames:
         """Return the direction of a frame, and True if its form alone shows it."""
         if len(form) == 1:
             return form[0], True
-        of_label = _decided(self._labels.get(label.text))
+        of_label = _majority_direction(self._labels.get(label.text))
         if of_label is not None:
             return of_label, False
-        of_word = _decided(self._words[label.mark.word]) if label.mark is not None else None
+        of_word = (
+            _majority_direction(self._words[label.mark.word]) if label.mark is not None else None
+        )
         if of_word is not None:
             return of_word, False
         asked = self._pending
@@ -468,7 +470,7 @@ def _follows(before: TextFrame, frame: TextFrame) -> bool:
     return ids[1] == ids[0] + 1
 
 
-def _decided(votes: list[int] | None) -> Direction | None:
+def _majority_direction(votes: list[int] | None) -> Direction | None:
     """Return the direction that has at least three of four votes; None if neither has."""
     if votes is None or 4 * max(votes) < 3 * sum(votes) or not sum(votes):
         return None

@@ -440,7 +440,7 @@ class TextLog:
                 self.lines += 1
                 plan = self._plans.get(shape, _NO_PLAN_YET)
                 if plan is _NO_PLAN_YET:
-                    plan = self._planned(line, shape) if may_be_bytes(line, shape) else None
+                    plan = self._make_plan(line, shape) if may_be_bytes(line, shape) else None
                 if plan is not None:
                     yield from self._read(line, plan)
                 self._recent.append((line, shape))
@@ -472,7 +472,7 @@ class TextLog:
         if rest:
             yield _without_colours([rest])
 
-    def _planned(self, line: bytes, shape: bytes) -> _Plan | None:
+    def _make_plan(self, line: bytes, shape: bytes) -> _Plan | None:
         """Find what to read in lines of this shape; None if there is nothing."""
         if len(self._plans) >= MAX_SHAPES:
             self._plans.clear()

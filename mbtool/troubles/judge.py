@@ -270,9 +270,9 @@ class Judge:
         several = len(links) > 1
         named = [
             replace(one, names_link=several)
-            for one in self._cases.with_evidence(_unexplained(found))
+            for one in self._cases.with_evidence(_unexplained_troubles(found))
         ]
-        return Judgement(_sorted_worst_first(_joined(named)), links)
+        return Judgement(_sorted_worst_first(_join_alike(named)), links)
 
 
 def units_text(units: Collection[tuple[str, int]]) -> str:
@@ -298,7 +298,7 @@ def _stray_frames(links: Sequence[LinkReport]) -> Iterator[Trouble]:
             )
 
 
-def _unexplained(found: Sequence[Trouble]) -> list[Trouble]:
+def _unexplained_troubles(found: Sequence[Trouble]) -> list[Trouble]:
     """Return the troubles that no other trouble is the cause of.
 
     What is only possible goes first, so that it explains nothing that has another cause.
@@ -340,7 +340,7 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
     return is_of_unit and cause.count >= share * other.count
 
 
-def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
+def _join_alike(found: Iterable[Trouble]) -> Iterator[Trouble]:
     """Join the same trouble of at least MIN_JOINED units, links or masters into one, worst
     first.
     """

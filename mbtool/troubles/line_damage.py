@@ -459,12 +459,12 @@ def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
         return ""
     both = {one.key.unit for one in first} & {one.key.unit for one in second}
     return (
-        f"; one asks {_asked_text(first, both)} every {_rounded(first_ns)}, "
-        f"the other {_asked_text(second, both)} every {_rounded(second_ns)}"
+        f"; one asks {_asked_text(first, both)} every {_period_text(first_ns)}, "
+        f"the other {_asked_text(second, both)} every {_period_text(second_ns)}"
     )
 
 
-def _rounded(ns: int) -> str:
+def _period_text(ns: int) -> str:
     """Write a period with two digits, as an adapter makes times coarse."""
     return duration(round(ns, 2 - len(str(ns))))
 

@@ -386,28 +386,28 @@ def judge(histories: Sequence[WordHistory]) -> list[Judged]:
         found: dict[Kind, float] = dict.fromkeys(Kind, 0.0)
         found_orders: dict[Order, float] = dict.fromkeys(Order, 0.0)
         for one in ranges:
-            priced = [_priced(candidate, orders) for candidate in one.candidates]
+            priced = [_with_order_costs(candidate, orders) for candidate in one.candidates]
             one.division = divide(len(one.span), priced, shares)
             for candidate, likelihood in one.division.likelihoods:
                 found[candidate.kind] += likelihood
                 if candidate.kind in _TYPES and likelihood > 0.01:
                     for order, share in _order_shares(candidate).items():
                         found_orders[order] += likelihood * share
-        shares = _pooled(SHARES, found)
-        orders = _pooled(_ORDERS, found_orders)
+        shares = _pool_shares(SHARES, found)
+        orders = _pool_shares(_ORDERS, found_orders)
     is_signed = any(_goes_below_zero(one) for one in ranges)
-    judged = [part for one in ranges for part in _judged(one, is_signed=is_signed)]
+    judged = [part for one in ranges for part in _judged_values(one, is_signed=is_signed)]
     return sorted(judged, key=lambda one: (list(Table).index(one.table), one.address))
 
 
-def _pooled(usual: Mapping[Key, float], found: Mapping[Key, float]) -> dict[Key, float]:
+def _pool_shares(usual: Mapping[Key, float], found: Mapping[Key, float]) -> dict[Key, float]:
     total = sum(found.values()) + _KNOWN_VALUES
     return {
         key: (share * _KNOWN_VALUES + found.get(key, 0.0)) / total for key, share in usual.items()
     }
 
 
-def _priced(candidate: Candidate, orders: Mapping[Order, float]) -> Candidate:
+def _with_order_costs(candidate: Candidate, orders: Mapping[Order, float]) -> Candidate:
     """Add the costs of the orders to a candidate of several registers."""
     if candidate.kind not in _TYPES:
         return candidate
@@ -465,7 +465,7 @@ def _free(span: range, taken: Collection[int]) -> Iterator[range]:
         yield range(start, span.stop)
 
 
-def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
+def _judged_values(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
     """Give the values of a range. With `is_signed`, whole numbers of the device may be negative."""
     before: WordReading | None = None
     doubts = doubtful(

@@ -372,7 +372,7 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
         return []
     with_line = any(link.load is not None for link in links)
     columns = (*_POLLS, *missing, *((_LINE,) if with_line else ()))
-    has_failed = _failed(found[0][1].poll.tally) > 0
+    has_failed = _count_failed(found[0][1].poll.tally) > 0
     title = "polls: failed, slowest" if has_failed else "polls, slowest first"
     lines = table_lines(title, columns, rows, width)
     return lines + more_line(len(found), top, "polls")
@@ -380,10 +380,10 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
 
 def _failures_sort_key(tally: RequestTally) -> tuple[int, int]:
     """Return the sort key of a poll: those that failed most first, then the slowest."""
-    return -_failed(tally), -tally.latency.percentile(95)
+    return -_count_failed(tally), -tally.latency.percentile(95)
 
 
-def _failed(tally: RequestTally) -> int:
+def _count_failed(tally: RequestTally) -> int:
     return tally.count(Outcome.EXCEPTION) + tally.count(Outcome.MALFORMED) + tally.not_in_time
 
 

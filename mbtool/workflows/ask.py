@@ -155,9 +155,9 @@ class Changes:
             return None
         if not before.outcome == now.outcome == Outcome.OK:
             return now
-        return msgspec.structs.replace(now, points=self._changed(before, now))
+        return msgspec.structs.replace(now, points=self._changed_points(before, now))
 
-    def _changed(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
+    def _changed_points(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
         olds, news = (points_of(one, self._profile) for one in (before, now))
         if len(olds) != len(news):  # `now` may answer another master's request.
             return news

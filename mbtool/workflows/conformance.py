@@ -217,7 +217,7 @@ class Conformance:
             yield self.connections(self._wire)
             yield self.after_silence(self._wire)
         for span in writes:
-            yield from self._written(span)
+            yield from self._test_writes(span)
 
     # Requests in correct ADUs. The embedded slave answers them, too: its response is expected.
 
@@ -267,7 +267,7 @@ class Conformance:
         problem = self._problem(pdu, sent, heard, begin_ns)
         is_note = False
         if problem.endswith(_NO_ANSWER) and isinstance(self._link, SerialLink):
-            again = self._repeated(sent)
+            again = self._send_again(sent)
             if again.raw and not self._problem(pdu, sent, again, time.monotonic_ns()):
                 problem += ", and the right one when it was asked again"
                 self._lost += 1
@@ -283,10 +283,10 @@ class Conformance:
         for _ in range(_PAUSE_TRIES):
             if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
                 return False
-            heard = self._repeated(self._wire.adu(self._unit, pdu))
+            heard = self._send_again(self._wire.adu(self._unit, pdu))
         return True
 
-    def _repeated(self, sent: bytes) -> Heard:
+    def _send_again(self, sent: bytes) -> Heard:
         """Send a request again. A late answer is awaited: the next request would get it."""
         heard = self._wire.send([sent])
         return heard if heard.raw or heard.is_closed else self._wire.hear(self._late_ns)
@@ -595,7 +595,7 @@ class Conformance:
 
     # Writes, only where the user allows them.
 
-    def _written(self, span: Span) -> Iterator[CaseResult]:
+    def _test_writes(self, span: Span) -> Iterator[CaseResult]:
         reading = READS_OF_TABLE[span.table]
         writing = 5 if span.table.is_bits else 6
         for at in range(span.first, span.last + 1):

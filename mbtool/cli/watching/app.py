@@ -385,9 +385,9 @@ class PromptedApp(DrawnApp):
         except (MbtoolError, OSError) as error:
             self.unsaid, is_done = str(error), False
         with suppress(RuntimeError):  # The screen is closed, and textual does not run any more.
-            self.call_from_thread(self._saved, is_done=is_done)
+            self.call_from_thread(self._note_saved, is_done=is_done)
 
-    def _saved(self, *, is_done: bool) -> None:
+    def _note_saved(self, *, is_done: bool) -> None:
         self._saving = None
         if self.return_value is not None or self.unsaid is None or not self.is_up:
             return

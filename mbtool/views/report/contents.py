@@ -275,7 +275,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
         "count": bins.bins,
         "units_left_out": max(len(known) - MAX_UNITS, 0),
         "counted": len(known),
-        "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
+        "all": {name: _sums_of_bins(bins, known, place) for name, place in _FAILURES.items()},
         "units": [_unit_columns(bins, row) for row in known[:MAX_UNITS]],
         "links": [
             _link_columns(contents, bins, link) for link in links[:MAX_UNITS] if link.has_times
@@ -313,7 +313,7 @@ def _rank(unit: UnitAccount) -> tuple[int, int]:
     return unit.bins.total(UnitSum.REQUESTS), unit.bins.total(*_FAILURES.values())
 
 
-def _added(bins: Chart, units: Sequence[UnitAccount], place: int) -> list[int]:
+def _sums_of_bins(bins: Chart, units: Sequence[UnitAccount], place: int) -> list[int]:
     """Return one sum of all these units for each bin."""
     added = [0] * bins.bins
     for unit in units:

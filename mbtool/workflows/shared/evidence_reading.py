@@ -127,7 +127,7 @@ class EvidenceReading(Reading):
                 else:
                     frames.sort(key=lambda one: (one.ts_ns, one.number))
 
-    def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
+    def _evidence_to_decode(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
         for item in evidence_pieces(items, self._types, self._usb):
             self.marks.items += 1
             if self._decoder is not None:

@@ -339,7 +339,9 @@ class Reading:
         packets = chain(first, packets)
         head = capture.head
         if head is None:
-            return self._decoded(self._heard_packets(capture, packets), Part(), self._own_decoder)
+            return self._decode_file(
+                self._heard_packets(capture, packets), Part(), self._own_decoder
+            )
         self.results.note_head(capture.name, head)
         self.assignments = all_assignments(head, self._options.assignments)
         return self._decoded_again(head, reads_of(packets), Part(0))
@@ -383,12 +385,12 @@ class Reading:
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
         decoder.begin_line(line.link_at(capture.link))
-        for piece in self._fed(pieces):
+        for piece in self._evidence_to_decode(pieces):
             self._items += 1
             yield from decoder.feed(piece)
         yield from self._end_capture()
 
-    def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
+    def _evidence_to_decode(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
         """Return the items to decode; a subclass may override this to see or change them."""
         return items
 
@@ -419,7 +421,7 @@ class Reading:
                 "to change their silences use --raw with --t3-5"
             )
 
-    def _decoded(
+    def _decode_file(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
         """Decode a file with the decoder of the file before, if both are of the same capture; else
@@ -429,7 +431,7 @@ class Reading:
             yield from self._end_capture()
         self._part = part
         is_first = True
-        for item in self._fed(evidence):
+        for item in self._evidence_to_decode(evidence):
             if is_first and not self._seam.is_continued_by(item):
                 self._note_order(item)
                 yield from self._end_capture()
@@ -530,4 +532,4 @@ class Reading:
                 across=ACROSS in log.capture,
             )
 
-        yield from self._decoded(evidence, part, begin)
+        yield from self._decode_file(evidence, part, begin)
