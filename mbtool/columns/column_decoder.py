@@ -260,10 +260,10 @@ class _BlockPass:
         """For each segment, the latest time so far: times may go back by less than PATIENCE_NS."""
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """An index in `Segments`. The Decoder has got each segment before it, or only the segment's
-        time."""
+        """An index in `Segments`: each segment before it was given to the Decoder, whole or only
+        with its time."""
         self._used = 0
-        """An index in `Segments`. The connections of all segments before it were marked as used in
+        """An index in `Segments`: the connections of all segments before it were marked as used in
         the reassembler, which drops the connection that was not used for longest."""
         self._decoded = DecodedBlock()
         self._connections: list[Connection | None] = []

@@ -168,9 +168,9 @@ class _Source:
         self._stream = stream
         self._held = b""
         self._at = 0
-        """The number of bytes of `_held` that callers have already taken. They stay in `_held`
-        until the next read of the file, because cutting them off would copy all bytes behind
-        them."""
+        """The number of bytes of `_held` that callers have already taken. These bytes stay in
+        `_held` until the next read of the file, because cutting them off would copy all bytes
+        behind them."""
         self._error: Exception | None = None
         self._is_ended = False
 

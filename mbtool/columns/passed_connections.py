@@ -42,7 +42,8 @@ class PassedConnections:
     flow: Int64s
     """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index, among the block's plain stretches, of the one that has all its transactions."""
+    """The index of the connection's only plain stretch among those of the block; it has all
+    transactions of the connection."""
     opened: Int64s
     """The index in the block of the packet with the connection's SYN."""
     opened_ns: Int64s
@@ -193,8 +194,8 @@ class WholeConnections:
     flow: Int64s
     """The number of the connection's flow (its pair of IP addresses and TCP ports)."""
     stretch: Int64s
-    """The index, among those of the block, of the connection's only plain stretch. This stretch has
-    all transactions of the connection."""
+    """The index of the connection's only plain stretch among those of the block; it has all
+    transactions of the connection."""
     opening: Int64s
     """The index in `Segments` of the connection's SYN."""
     answering: Int64s

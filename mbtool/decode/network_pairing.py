@@ -148,12 +148,12 @@ class NetworkPairing:
         """For each of the last times at which the capture lacked bytes, the number of requests
         before it."""
         self._requests_lost_ns: int | None = None
-        """The last time (ns) at which the capture lacked requests; the first ADU's if the capture
-        lacks the beginning of the connection. None if it lacks none."""
+        """The last time (ns) at which the capture lacked requests; None if it lacks none. If the
+        capture lacks the beginning of the connection, the time of the first ADU counts."""
         self._readings = [PairReading([], [], before=MAX_BEFORE if joined else 0)]
         self._habits = MasterHabits()
         self._requests = 0
-        """The number of requests so far, with those that the capture lacks."""
+        """The number of requests so far, including those that the capture lacks."""
         self._waits: deque[int] = deque(maxlen=RECENT_WAITS)
         """The last times (ns) from a request without a response to the master's next request."""
         self._unanswered = UnansweredCounts()

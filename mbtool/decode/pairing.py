@@ -527,12 +527,12 @@ class OpenLineRequest(NamedTuple):
 
     adu: Adu
     next_number: int
-    """The number of the request that followed it; the line's requests are counted from 1."""
+    """The number of the request after this one; the requests of the line are counted from 1."""
     waited_ns: int
-    """The time from its end to the start of the next request."""
+    """The time (ns) from the end of this request to the start of the next one."""
     waits: bool | None
-    """True if its master certainly still waited when the next request was sent, False if it had
-    given the request up, None if the times do not tell."""
+    """True if the master certainly still waited for this request when it sent the next one, False
+    if it had given the request up, None if the times do not tell."""
 
 
 class _Unit:

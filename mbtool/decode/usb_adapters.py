@@ -109,17 +109,18 @@ class _Port:
     parity: str = "N"
     stop_bits: int = 1
     last_ns: int = 0
-    """The time of its last transfer with bytes."""
+    """The time (ns) of the port's last transfer with bytes."""
     sent_ns: int = 0
     """The time at which the last byte that the machine has sent left the adapter."""
     is_ascii: bool | None = None
-    """None until bytes show it: the beginning of an ASCII frame, or a whole RTU frame."""
+    """True for ASCII, False for RTU; None until the bytes show the beginning of an ASCII frame or a
+    whole RTU frame."""
     line: SerialLink | None = None
-    """The line as its last bytes showed it; None if its settings are unknown."""
+    """The line with the settings of its last bytes; None if the settings are unknown."""
     has_changed: bool = False
     """True if the last bytes came with other settings than those before."""
     errors: set[int] = field(default_factory=set)
-    """The bits of errors that FTDI's status had last."""
+    """The error bits in the last status that the FTDI adapter sent."""
 
     def format(self) -> SerialFormat | None:
         """The line's settings; None if they were not seen, or are none of Modbus."""
@@ -136,7 +137,7 @@ class _Device:
     """The maker and the ports of one USB device."""
 
     maker: Maker | None = None
-    """None as long as nothing shows that it is an adapter."""
+    """The maker of the adapter; None as long as nothing shows that the device is an adapter."""
     packet_size: int | None = None
     ports: defaultdict[int, _Port] = field(default_factory=lambda: defaultdict(_Port))
     """The ports by their number, from 0. Only FTDI's adapters have several."""

@@ -63,7 +63,7 @@ class CycleAdvice:
 
     merged: tuple[MergedRead, ...]
     requests: int
-    """The number of requests of a cycle as it is."""
+    """The number of requests in a cycle before any change."""
     requests_then: int
     busy_ns: int
     """The time from the first request of a cycle to the last response."""
@@ -72,7 +72,8 @@ class CycleAdvice:
     wait_ns: int
     """The time from the last response of a cycle to the first request of the next."""
     waits: bool
-    """True if the master waits between cycles, so that the cycle may stay as long as it is."""
+    """True if the master waits between cycles: a shorter cycle would then only make the wait
+    longer."""
 
     @property
     def cycle_then_ns(self) -> int:

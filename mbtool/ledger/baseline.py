@@ -60,8 +60,8 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     unit: int | None = None
     text: str
     first_ns: int | None = None
-    """The time, in UTC ns, at which the newer capture first shows the unit, host or master of this
-    change; None if it does not show it."""
+    """The time (UTC ns) at which the newer capture first shows the unit, host or master of this
+    change; None if the newer capture lacks it."""
 
     @property
     def where(self) -> str:

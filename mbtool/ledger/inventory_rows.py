@@ -50,10 +50,10 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     refused: list[AddressRange] = []
     """The addresses in requests that were answered with an exception, without those in `ranges`."""
     references: list[str] = []
-    """Each of `ranges` in the notation of the unit's profile; "" for one that it has no notation
-    for. The list is empty if nobody named the unit's profile."""
+    """Each of `ranges` in the notation of the unit's profile; "" for a range without such a
+    notation. The list is empty if the unit has no profile."""
     refused_references: list[str] = []
-    """Each of `refused` in that notation; the list is empty in the same case."""
+    """Each of `refused` in the notation of the unit's profile, as in `references`."""
     unsupported: int = 0
     """The number of requests that were answered with exception code 01, illegal function."""
     left_out: int = 0
@@ -106,7 +106,7 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     transports: list[str] = []
     device: str | None = None
     """The name of the profile that the user, or the log that was read, assigned to the unit; None
-    if nobody did."""
+    without such an assignment."""
     macs: list[str] = []
     makers: list[str] = []
     identity: list[IdentityText] = []

@@ -24,7 +24,7 @@ class LinkStatistics:
         self.bins = bins
         """Its counts over time, by LinkSum."""
         self.transport: Transport | None = None
-        """The transport of its last capture; None if there was no transaction."""
+        """The transport of the link's last capture; None if the link had no transaction."""
         self.format: SerialFormat | None = None
         """The baud rate and character format of a serial line; None on a network, and if the bytes
         have no times."""

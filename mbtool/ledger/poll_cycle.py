@@ -73,8 +73,8 @@ class PollStart(NamedTuple, Generic[P]):
     begin_ns: int
     end_ns: int
     is_missing: bool
-    """True if the first attempt got no answer. If the last attempt got none either, `end_ns` is the
-    time when the master stopped waiting."""
+    """True if the first attempt got no answer. If all attempts got no answer, `end_ns` is the time
+    when the master stopped waiting."""
 
 
 class CutCycles(NamedTuple, Generic[P]):

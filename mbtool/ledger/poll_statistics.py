@@ -42,7 +42,7 @@ class RetryChange(NamedTuple):
 
     found: Sequence[int] = ()
     withdrawn: Sequence[int] = ()
-    """Requests that were found to be retries before, but are none."""
+    """Requests that counted as retries before and do not count as retries any more."""
 
 
 class PollKey(NamedTuple):
@@ -120,7 +120,7 @@ class PollStatistics:
         self._last_ns: int | None = None
         """The time (UTC ns) of the last request that is no retry."""
         self._asked_ns = 0
-        """The time (UTC ns) of the last request, be it a retry or not; 0 if `_last_ns` is None."""
+        """The time (UTC ns) of the last request or retry; 0 if `_last_ns` is None."""
         self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""

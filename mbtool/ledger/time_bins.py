@@ -98,7 +98,7 @@ class UnitBin(NamedTuple):
     asked: int
     answered: int
     latency_ns: int
-    """The sum of the latencies of those that were answered."""
+    """The sum of the latencies (ns) of the answered requests."""
 
 
 class TimeBins:
@@ -106,7 +106,8 @@ class TimeBins:
 
     def __init__(self) -> None:
         self.share = 1
-        """Each row may have the greatest number of bins, divided by this."""
+        """The greatest number of bins of a row is divided by this number, because there are many
+        rows."""
         self.cells = 0
         """The number of bins of all rows."""
         self._rows: list[Row] = []

@@ -110,7 +110,7 @@ class _BehindNoise(NamedTuple):
     """A certain frame behind bytes that belong to no frame."""
 
     skipped: int
-    """The number of these bytes."""
+    """The number of bytes that were skipped."""
     frame: tuple[int, Classification]
 
 

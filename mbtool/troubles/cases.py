@@ -51,7 +51,8 @@ class _SlowAnswer(NamedTuple):
     negative_ns: int
     """The time of the request (UTC ns) with a minus."""
     number: int
-    """A number of its own, so that two are never compared by their evidence."""
+    """The number of the slow answer, different for each, so that a heap never compares two by their
+    evidence."""
     evidence: Evidence
 
 

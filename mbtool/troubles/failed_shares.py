@@ -75,7 +75,7 @@ class FailedShare(NamedTuple):
     asked: int
     """The number of requests in the time from `since_ns` to `until_ns`."""
     since_ns: int | None = None
-    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
+    """The time (ns since 1970) of the first failure; None if requests failed from the beginning."""
     until_ns: int | None = None
     """The time (ns since 1970) of the last failure; None if the failures have not ended."""
     is_long: bool = False

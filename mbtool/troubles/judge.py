@@ -163,9 +163,9 @@ class Judge:
         """
         self.ledger = ledger
         self.findings = Summaries()
-        """The broken rules that `note` has got, by code and place."""
+        """The broken rules that `note` received, by code and place."""
         self.remarks: list[str] = []
-        """Sentences for the user that are no findings; those of a capture are there when it
+        """Sentences for the user that are no findings; those of a capture come when it has
         ended."""
         self._context = context or CaptureContext()
         self._cases = Cases()
@@ -176,7 +176,7 @@ class Judge:
         self._of_networks = (self._cases, self._values, *of_networks)
         self._senses = (*self._of_lines, *of_networks)
         self._checker: Checker | None = None
-        """The rules, with what they remember of the present capture; None outside of a capture."""
+        """The rule checker with its state of the present capture; None between captures."""
 
     def begin_capture(self, context: CaptureContext | None = None) -> None:
         """Note that the next record belongs to another capture, perhaps of another day.

@@ -162,15 +162,15 @@ class _DamagedUnit:
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
     before: Counter[int] = field(default_factory=Counter)
-    """By unit, how often it was asked right before a request whose answer is damaged or has damaged
-    bytes behind it."""
+    """By unit, the number of its requests that came right before a request whose answer is damaged
+    or has damaged bytes behind it."""
     after_late: int = 0
-    """The number of damaged frames after a request to another unit that was not answered in time,
-    and whose late answer may have done it."""
+    """The number of damaged frames after a request to another unit that was not answered in time:
+    its late answer may have caused the damage."""
     asked: int = 0
     answered: int = 0
     latency_ns: int = 0
-    """The sum of the latencies of its answers."""
+    """The sum of the latencies (ns) of the unit's answers."""
     last: NamedTransaction | None = None
     """The last transaction with an answer in time."""
     cases: list[Evidence] = field(default_factory=list)

@@ -119,7 +119,7 @@ class _DisturbedWindow:
 @dataclass(slots=True)
 class _LateLine:
     last: NamedTransaction | None = None
-    """The last transaction; it is judged once the master's next request is known."""
+    """The last transaction. It is judged once the time of the master's next request is known."""
     pending: list[NamedTransaction] = field(default_factory=list)
     """Late transactions whose response is not reached yet."""
     requests: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))

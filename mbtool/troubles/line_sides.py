@@ -61,7 +61,7 @@ class _SidedLine:
     last_ns: int = 0
     """The time (UTC ns) of the last request."""
     soon: int = 0
-    """The number of requests that came less than SHORTEST_TIMEOUT_NS after the one before: no
+    """The number of requests that came less than SHORTEST_TIMEOUT_NS after the request before: no
     master gives up a request within this time."""
     responses: int = 0
     alone: int = 0

@@ -113,7 +113,8 @@ class _StrayLine:
     heads: Counter[bytes] = field(default_factory=Counter)
     """The number of pieces by their first two bytes."""
     own_heads: set[bytes] = field(default_factory=set)
-    """The first two bytes of known frames: pieces that begin so may be damaged frames."""
+    """The first two bytes of known frames: pieces that begin with the same bytes may be damaged
+    frames."""
     foreign_cases: list[Evidence] = field(default_factory=list)
     read: int = 0
     """The number of bytes in frames."""

@@ -111,7 +111,7 @@ class _Slow(NamedTuple):
 
     begin_ns: int
     end_ns: int | None
-    """None if it was not answered."""
+    """The time at which the answer was complete; None if the request was not answered."""
     unit: int
     evidence: Evidence
 
@@ -122,7 +122,7 @@ class _BlockedRequest(NamedTuple):
     of: _Slow
     by: int
     turn_ns: int
-    """The time (ns since 1970) at which the request to `by` had its turn."""
+    """The time (ns since 1970) at which the gateway began to serve the request to `by`."""
     held_ns: int
     """The time in ns for which the request to `by` held up the line."""
 
@@ -171,11 +171,11 @@ class _MasterTalk:
     )
     """The last transactions, and when each began."""
     overlaps: int = 0
-    """The number of requests that came while another one had no answer yet, counted until `late` is
-    full."""
+    """The number of requests that came while an earlier one had no answer yet, counted until `late`
+    is full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
-    """Pairs of a transaction whose answer came after the next request, and the time (ns) from it to
-    that request."""
+    """Pairs of a transaction whose answer came after the next request, and the time (ns) from the
+    first request to the next."""
 
 
 class Gateways(Sense):

@@ -63,15 +63,15 @@ class _Mac:
 class _SeenHost:
     macs: dict[str, _Mac] = field(default_factory=dict)
     is_local: bool = False
-    """True if it talked with a host of its own network."""
+    """True if the host talked with a host of its own network."""
     link: str = ""
     slave_ns: int | None = None
-    """The time (UTC ns) of its first answer as a slave."""
+    """The time (UTC ns) of the host's first answer as a slave."""
     master_ns: int | None = None
-    """The time (UTC ns) of its first request."""
+    """The time (UTC ns) of the host's first request."""
     requests: int = 0
     asked: str = ""
-    """The slave that it asked first."""
+    """The slave to which the host sent its first request."""
     cases: list[Evidence] = field(default_factory=list)
     mac_cases: list[Evidence] = field(default_factory=list)
 

@@ -71,7 +71,7 @@ class _Parts:
     delayed: int = 0
     """The number of messages whose second part came after a time in one of TIMERS_NS."""
     times: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
-    """The times (ns) between their parts."""
+    """The times (ns) between the parts of one message."""
     cases: list[Evidence] = field(default_factory=list)
 
 

@@ -83,7 +83,7 @@ class LateUnit:
     number: int
     """The number of late answers."""
     answers: int
-    """The number of all answers of the polls that have late ones."""
+    """The number of all answers, late or not, of the polls in `polls`."""
     longest_ns: int
     usual_ns: int
     """The median latency of the poll with most late answers."""

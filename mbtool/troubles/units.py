@@ -59,9 +59,9 @@ class JointRefusals:
     of: int
     """The number of all units."""
     tally: RequestTally
-    """The counts of the units that refuse."""
+    """The counts of all units that refuse, added up."""
     scanned: int
-    """The number of different requests if they look like a scan, else 0."""
+    """The number of different requests if they look like a scan; otherwise 0."""
     master: str
     """The host that scans; empty if it is not known, or if there are several."""
 

@@ -184,7 +184,7 @@ class _FollowedAnswers:
         """The usual time from one answer to the next."""
         self.movements: Movements | None = None
         self.rested = 0
-        """The number of answers that were dropped, as nothing moved in them."""
+        """The number of answers that were dropped because no value changed in them."""
         self.is_left_out = False
         self.norm_ns: tuple[int, int] | None = None
         """The times (UTC ns) of the first and last answer of the baseline; None without one."""
