@@ -195,6 +195,16 @@ def ordinary_line(size: int) -> bytes:
     return b"".join(sent)
 
 
+def short_line(size: int) -> bytes:
+    """Polls of one register of three units: frames of 7 and 8 bytes."""
+    rng, sent = random.Random(1), []
+    for number in range(size):
+        unit = 1 + number % 3
+        sent.append(rtu_adu(unit, struct.pack(">BHH", 3, number % 7, 1)))
+        sent.append(rtu_adu(unit, bytes([3, 2]) + rng.randbytes(2)))
+    return b"".join(sent)
+
+
 def one_write(size: int) -> bytes:
     """One write and its echo, again and again."""
     return _write(1, 3) * size
@@ -302,6 +312,8 @@ class Input(NamedTuple):
 
 
 LINE = "ordinary line"
+"""Long frames, as few a byte as lines have."""
+SHORT_LINE = "ordinary line, short frames"
 FORMAT = SerialFormat(9600, 8, "E", 1)
 READ_SIZE = 1024
 
@@ -319,7 +331,8 @@ INPUTS = {
     "connections with a request": Input(connections, 65_535, "ordinary"),
     "holes": Input(holes, 10_000, "ordinary"),
     "another protocol, any port": Input(chat, 5_000, "ordinary", any_port=True),
-    "ordinary line": Input(ordinary_line, 10_000, LINE),
+    LINE: Input(ordinary_line, 10_000, LINE),
+    SHORT_LINE: Input(short_line, 15_000, LINE),
     "line: one write and its echo": Input(one_write, 20_000, LINE),
     "line: writes without echoes": Input(unechoed_writes, 20_000, LINE),
     "line: set points without echoes": Input(unechoed_set_points, 20_000, LINE),
