@@ -1,6 +1,6 @@
 """The entry of the command line: mbtool COMMAND."""
 
-# Each command has a file of its own, named by command_table.py. It imports other modules only when
+# Each command has a file of its own, named below. It imports other modules only when
 # it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
 # exit code.
 #

@@ -14,7 +14,7 @@ other packets that may carry Modbus to the Decoder.
 # been fed every packet. The results of a block are sorted by the packet that completed them.
 #
 # A connection that lies in one block from its SYN to its FINs, with nothing unusual, is read from
-# the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
+# the arrays without asking the Decoder (passed_connections.py). The Decoder is only told that the
 # connection has ended.
 #
 # In two cases the results depend on the order of all packets of all connections: the packets' times

@@ -300,7 +300,7 @@ class ConnectionDecoder:
         self._last_adus: dict[Direction, Adu] = {}
         """The last frame of each direction of RTU over TCP."""
         self._bus: Bus | None = None
-        """The decoder of a whole line that one direction carries (bus_in_stream.py); None if each
+        """The decoder of a whole line that one direction carries (Bus); None if each
         direction has its own frames."""
         self._bus_direction = Direction.UNKNOWN
         self._is_heard_again = False

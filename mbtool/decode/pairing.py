@@ -1,7 +1,7 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
 # The last request is the pending one; earlier requests without a response stay open for a while
-# (line_requests.py). A response belongs to an open request of its unit and function:
+# (OpenLineRequests). A response belongs to an open request of its unit and function:
 #
 #     form      The response fits the request: the number of values, what it repeats of the request.
 #               A response that fits no open request goes to the pending one, as malformed.
@@ -27,7 +27,7 @@
 # counts the requests before it that had no answer. The transactions of one unit come in the order
 # of their requests.
 #
-# Memory: the open requests (see line_requests.py), MAX_HELD responses for each of at most 247
+# Memory: the open requests (see OpenLineRequests), MAX_HELD responses for each of at most 247
 # units, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
 
 from __future__ import annotations

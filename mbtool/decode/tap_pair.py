@@ -3,7 +3,7 @@
 # A side is one tap with a splitter of its own, which knows the direction of its bytes. The events
 # of both sides (ADUs and skipped bytes) are merged into the order in which they were sent, and go
 # to one pairing. Times alone do not give that order, as each adapter has its own delay; the
-# alignment of requests with responses does (tap_alignment.py). If no alignment decides, times do.
+# alignment of requests with responses does. If no alignment decides, times do.
 #
 # A side is known up to a time if all its events that began before that time were found. That is the
 # time of the first byte that its splitter still holds. If the splitter holds none, it is the time

@@ -18,7 +18,7 @@
 # clock starts with the first request.
 #
 # After an acknowledged write, all responses show the written value, recorded ones too, until the
-# recording has a write to the same address (live_writes.py). A write that was never recorded is
+# recording has a write to the same address (LiveWrites). A write that was never recorded is
 # acknowledged if all its addresses are in the recording. A broadcast on a serial line writes to
 # every unit that ever answered.
 

@@ -1,7 +1,7 @@
 """A network interface as a live source: whole packets, as the kernel saw them."""
 
 # scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
-# kernel has removed back into the packet; it decodes nothing. The filter is made in port_filter.py,
+# kernel has removed back into the packet; it decodes nothing. `port_filter` makes the filter,
 # so neither libpcap nor tcpdump is needed. Linux only.
 #
 # The kernel notes the time of a packet by the system's clock, which somebody may set during a

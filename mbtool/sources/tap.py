@@ -1,7 +1,7 @@
 """A TCP tap: masters connect to it instead of the slave; it relays and records all bytes."""
 
 # The tap listens at one endpoint (ports/tcp_listener.py), connects to its target for each
-# connection that it accepts, and passes bytes both ways, at once and unchanged (relay.py). It runs
+# connection that it accepts, and passes bytes both ways, at once and unchanged. It runs
 # in a thread with an event loop of its own. The consumer gets recorded bytes a few ms later, so
 # that decoding does not delay the response (inbox.py).
 #

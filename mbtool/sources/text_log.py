@@ -1,7 +1,7 @@
 """Reads Modbus frames from text: the logs of other programs, terminals and analysers."""
 
 # No program has special code here. A line is read in three steps: its time (text_marks.py), the
-# places with bytes (text_notations.py), and the word or arrow before the bytes that names the
+# places with bytes, and the word or arrow before the bytes that names the
 # sender. A line without such a mark uses the mark of an earlier line, at most LOOK_BACK lines
 # before; the rows of a dump use that of its heading. text_frames.py decides which bytes are a
 # Modbus frame, and its direction. All other text is skipped and counted.

@@ -1,7 +1,7 @@
 """The rules for serial lines: silences, damaged bytes, requests that come too soon, broadcasts."""
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
-# RTU-101..104      wrong silences; silences.py finds them
+# RTU-101..104      wrong silences; LineSilences finds them
 # RTU-202, RTU-203  unreadable bytes, damaged characters
 # RTU-301, RTU-302  a request comes too soon after another frame or a broadcast; not checked if
 #                   RTU-104 says that the times are useless

@@ -1,7 +1,7 @@
 """Reads a TOML file with the values that a slave starts with and those that change over time."""
 
 # A key names a register, a bit or a point (value_targets.py). The value is a number, a list of
-# numbers for consecutive addresses, or a TOML table for a value that changes (signals.py):
+# numbers for consecutive addresses, or a TOML table for a value that changes:
 #
 #     HR400001 = 4660
 #     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
