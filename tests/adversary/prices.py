@@ -149,6 +149,21 @@ def lossy_pipelined(size: int) -> bytes:
     return pcap([one for one in packets if rng.random() > 1 / 3])
 
 
+def lossy_both_ways(size: int) -> bytes:
+    """Requests with few ids, before each of which 384 bytes are lost, and responses, before each of
+    which 410 are: each loss may be up to 32 requests, and their responses.
+    """
+    rng, talk = random.Random(1), Talk()
+    packets = talk.handshake()
+    for _ in range(size):
+        one = rng.randrange(3)
+        talk.master.sequence += 384
+        packets.append(talk.request(mbap_adu(one, 1, READ)))
+        talk.slave.sequence += 410
+        packets.append(talk.response(mbap_adu(one, 1, VALUES)))
+    return pcap(packets)
+
+
 def connections(size: int) -> bytes:
     """Connections with one request each."""
     packets: list[Packet] = []
@@ -328,6 +343,7 @@ INPUTS = {
     "requests only, 100 a segment": Input(many_in_a_segment, 50_000, "ordinary"),
     "pipelined with one id": Input(pipelined, 10_000, "ordinary"),
     "pipelined with one id, with loss": Input(lossy_pipelined, 10_000, "ordinary"),
+    "losses of both directions": Input(lossy_both_ways, 10_000, "ordinary"),
     "connections with a request": Input(connections, 65_535, "ordinary"),
     "holes": Input(holes, 10_000, "ordinary"),
     "another protocol, any port": Input(chat, 5_000, "ordinary", any_port=True),
