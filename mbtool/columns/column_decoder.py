@@ -59,7 +59,8 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 SMALLEST = 256
-"""A part of a block with so many packets or fewer is not cut further."""
+"""A part of a block with at most this many packets is not cut further: the Decoder gets all its
+packets."""
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
 """At most this many flows (a flow is all segments between two TCP ends) are decoded in one part of
 a block. It is half of the connections that the reassembler keeps, so the flows of one part cannot

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
+"""If there are more examples than this, all are forgotten before the next block."""
 _ADDRESS = 0xFFFF << 16
 """The bits of the address in `UsualRows.asked`."""
 _Place = tuple[str, str, str, str | None, str | None, str | None]
@@ -61,10 +62,11 @@ class PollRuns:
     def __init__(self, objects: PlainObjects) -> None:
         self._objects = objects
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
-        """An example of each kind of poll, by place and `UsualRows.asked`."""
+        """An example transaction of each kind of poll. The key is the link with its hosts (_Place),
+        and the request as a number (`UsualRows.asked`)."""
         self._forms: dict[tuple[_Place, int], NamedTransaction] = {}
-        """By the same key with address 0, the example whose values and bytes all examples have
-        that differ in address only."""
+        """Example transactions by the same key with the bits of the address cleared: the examples
+        for other addresses are copies of them."""
 
     def kinds_of(self, rows: PlainRows, usual: UsualValues) -> KindsOfRows:
         """Return an example transaction of each kind of poll in the block, and for each row the
@@ -117,7 +119,7 @@ def _places(rows: PlainRows) -> list[_Place]:
     ]
 
 
-def in_turn(
+def items_in_packet_order(
     rows: PlainRows,
     is_usual: Bools,
     records: list[tuple[int, Record]],

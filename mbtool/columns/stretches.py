@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _PSH = 0x08
 _MASK = 0xFFFFFFFF
 _LENGTH_END = MBAP_BYTES - 1
+"""The number of bytes of an MBAP header up to its length field, which does not count them."""
 _MBAP = np.dtype(
     [("id", ">u2"), ("protocol", ">u2"), ("length", ">u2"), ("unit", "u1"), ("code", "u1")]
 )

@@ -92,14 +92,17 @@ MAX_COPIED = 40 * MAX_BEFORE
 16 requests, but LEAST_READINGS of 100. If there are more within MARGIN, the pairs are ambiguous."""
 LEAST_READINGS = MAX_LATE + 2
 MAX_LOST_RUNS = 16
-"""About so many guesses are tried as to which requests' responses the missing bytes were. The
-guesses with the earliest requests come first, as a slave answers in order. More would cost time in
-a connection that is not Modbus."""
+"""For lost bytes of responses, about this many choices of the requests that they answered are
+tried, those with the earliest requests first, as a slave answers in order. More would take too long
+in a connection that is not Modbus."""
 MAX_READINGS = 20
+"""At most this many readings (ways to pair) are kept, the cheapest ones."""
 MAX_PASSED = 64
+"""At most this many given-up requests of a reading can still get a late response; older ones are
+closed."""
 MAX_NUMBERS = 1024
-"""If more numbers of requests are remembered, those of closed requests are forgotten. At most 320
-requests are open, so that this is done rarely."""
+"""If a reading remembers the numbers of more requests than this, those of closed requests are
+forgotten. At most 320 requests are open, so that this is done rarely."""
 MAX_LOST_RESPONSES = 8
 """Lost bytes are taken for at most this many responses. This limits the number of combinations of
 response lengths that are tried."""
@@ -282,7 +285,7 @@ class PairReading:
             self.waiting.remove(request)
             self.newest = max(request.number, self.newest)
 
-    def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
+    def suppose_lost_responses(self, start: int, count: int, cost: float, at_ns: int) -> None:
         """Suppose that lost bytes answered the requests `waiting[start : start + count]`.
 
         `cost` (in units of LATE) is added to the reading's cost; `at_ns` is the time at which the
@@ -357,7 +360,7 @@ def options(
                 continue
         if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
             before = passed.cost_to(one)
-            cost = before + _cost(one, response, reading, habits, has_id)
+            cost = before + _response_cost(one, response, reading, habits, has_id)
             best = min(best, cost)
             yield PairOption(cost, one)
             cheap += cost <= before
@@ -368,7 +371,7 @@ def options(
         return  # A request in `passed` would cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
-            cost = OUT_OF_ORDER + _cost(one, response, reading, habits, has_id)
+            cost = OUT_OF_ORDER + _response_cost(one, response, reading, habits, has_id)
             yield PairOption(cost, one)
 
 
@@ -444,7 +447,7 @@ def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
     return UNANSWERED - LATE if one.number in reading.given_up else UNANSWERED
 
 
-def _cost(
+def _response_cost(
     one: OpenRequest,
     response: Adu,
     reading: PairReading,
@@ -458,7 +461,7 @@ def _cost(
     cost = 0.0 if one.fits(response) else MISFIT
     if habits.is_too_early(one.adu.pdu[0], response.start_ns - one.adu.end_ns):
         return cost + TOO_EARLY
-    since_ns = max(one.since_ns, habits.heard_ns)
+    since_ns = max(one.since_ns, habits.got_response_until_ns)
     is_slow = response.start_ns - since_ns > habits.slow_ns(one.function)
     return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
 

@@ -24,7 +24,8 @@ _COUNT, _BEGIN_NS, _END_NS, _REQUEST_NS, _LATENCIES = map(
     attrgetter, ("count", "begin_ns", "end_ns", "request_ns", "latencies")
 )
 _FEW = 8
-"""Groups of equal requests are joined by their forms if they have fewer requests than this."""
+"""Groups of equal requests are joined by their forms (equal but for the address) if a group has
+fewer requests than this in the mean."""
 
 
 @dataclass(slots=True)

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_TAPES = 256
+"""The last requests of at most this many masters are kept."""
 WINDOW = 2048
+"""Requests wait until there are twice this many; then this many, the earliest ones, are passed on
+in the order of time."""
 _AT_NS = itemgetter(0)
 
 
@@ -161,7 +164,7 @@ class RequestOrder:
             if poll is not unanswered:
                 poll.begin(at_ns)
             else:
-                change = poll.begin_again(at_ns)
+                change = poll.note_repetition(at_ns)
                 if self._on_retry is not None:
                     for found_ns in change.found:
                         self._on_retry(poll, found_ns, 1)

@@ -94,7 +94,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
                 return  # `close` puts the only Ended item of this source.
         self._lost_ns = monotonic_ns()
         self.is_lost = True
-        self._tell(f"{item.error} It is opened again when it is back")
+        self._report(f"{item.error} It is opened again when it is back")
         self._wanted.set()
 
     def first(self) -> AbstractContextManager[None]:
@@ -128,7 +128,9 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
                 away_s = (monotonic_ns() - self._lost_ns) / 1e9
                 moved = [place for port, place in places.items() if place != port]
                 where = f" as {', '.join(moved)}" if moved else ""
-                self._tell(f"{self._link}: is back{where} after {away_s:.1f} s; listening goes on")
+                self._report(
+                    f"{self._link}: is back{where} after {away_s:.1f} s; listening goes on"
+                )
                 return True
             pause_s = min(2 * pause_s, LAST_LOOK_S)
         return False
@@ -161,7 +163,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
             places[port] = place
         return places
 
-    def _tell(self, message: str) -> None:
+    def _report(self, message: str) -> None:
         self._inbox.put(
             WireEvent(ts_ns=now_ns(), link=self.link, kind=EventKind.GAP, message=message)
         )

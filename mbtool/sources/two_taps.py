@@ -84,11 +84,11 @@ class TwoTapsSource(LiveSource[SerialLink]):
             if not isinstance(item, Quiet):
                 self._inbox.put(item)
             if isinstance(item, Quiet | Chunk):
-                self._known_ns[speaker] = _known(self._known_ns[speaker], item.ts_ns)
-                self._tell_quiet()
+                self._known_ns[speaker] = _known_until(self._known_ns[speaker], item.ts_ns)
+                self._put_quiet()
 
-    def _tell_quiet(self) -> None:
-        quiet_ns = _known(self._quiet_ns, min(self._known_ns.values()))
+    def _put_quiet(self) -> None:
+        quiet_ns = _known_until(self._quiet_ns, min(self._known_ns.values()))
         if quiet_ns != self._quiet_ns:
             self._quiet_ns = quiet_ns
             self._inbox.put(Quiet(quiet_ns, self.link))
@@ -106,7 +106,7 @@ class TwoTapsSource(LiveSource[SerialLink]):
             tap.tell_to_end()
 
 
-def _known(until_ns: int, ts_ns: int) -> int:
+def _known_until(until_ns: int, ts_ns: int) -> int:
     """Return the time (UTC ns) up to which all bytes of a port are known.
 
     `until_ns` is that time so far and `ts_ns` a new one; the later one is returned. If `ts_ns` is

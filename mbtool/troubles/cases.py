@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
+"""Cases are kept for at most this many units; further ones are ignored."""
 SLOW_NS = 10_000_000
-"""Answers that took less than this (ns) are not kept."""
+"""Answers that took less than this (ns) are not kept as cases."""
 SLOWEST = 20
+"""The number of slowest answers that are kept of each poll."""
 _OUTCOMES = {
     "UNIT-SILENT": Outcome.NO_ANSWER,
     "UNIT-BAD-CRC": Outcome.NO_ANSWER,
@@ -73,7 +75,7 @@ class Cases(Sense):
         if latency_ns is not None and latency_ns >= SLOW_NS and one.request_ns is not None:
             heap = self._heap(one)
             if _has_place(heap, latency_ns, one.request_ns):
-                self._put(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
+                self._keep_slow(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
         if one.outcome in _FAILED:
             cases = self._cases_of(one)
             if cases is not None:
@@ -124,7 +126,7 @@ class Cases(Sense):
                     break
                 text, packets = _took(latency_ns), kind.packets(at)
                 evidence = Evidence(ts_ns=at_ns, text=text, file=like.file, packets=packets)
-                self._put(heap, latency_ns, evidence)
+                self._keep_slow(heap, latency_ns, evidence)
 
     def event(self, event: WireEvent) -> None:
         if event.kind is EventKind.OPENED and event.message == CONNECTION_OPENED:
@@ -154,7 +156,7 @@ class Cases(Sense):
                 self._slow[key] = heap
         return heap
 
-    def _put(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
+    def _keep_slow(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
         self._number += 1
         case = _SlowAnswer(latency_ns, -evidence.ts_ns, self._number, evidence)
         if len(heap) < SLOWEST:
@@ -174,7 +176,7 @@ class Cases(Sense):
             for one in self._slow.get(poll.key, ())
             if one.latency_ns >= least_ns and one.evidence.ts_ns >= since_ns
         ]
-        return _first(found)
+        return _earliest_cases(found)
 
     def with_evidence(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles; those that only figures show get their cases as evidence."""
@@ -196,10 +198,10 @@ class Cases(Sense):
                     for (link, host), case in self._opened.items()
                     if link == one.link and (one.master == host or one.master == "masters")
                 )
-            yield one if found is one.evidence else replace(one, evidence=_first(found))
+            yield one if found is one.evidence else replace(one, evidence=_earliest_cases(found))
 
 
-def _first(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
+def _earliest_cases(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
     return tuple(sorted(cases, key=lambda one: one.ts_ns)[:MAX_EVIDENCE])
 
 

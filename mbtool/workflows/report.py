@@ -172,7 +172,7 @@ class ReportRun:
             self._note_capture()
             self._add_rows(one.rows, one.answered)
         for finding in findings:
-            self._rows.mark(finding)
+            self._rows.add_finding(finding)
 
     def _add_rows(self, rows: BlockRows, answered: AnsweredRun) -> None:
         """Take answered reads without findings together; only the first ones of the capture need a

@@ -295,8 +295,8 @@ TURNAROUND_NS = 100_000_000
 """The shortest silence, in ns, that must follow a broadcast. The standard gives 100 to 200 ms as
 the usual turnaround delay."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
-"""A response of the same function at most so many ns after a broadcast counts as a response to
-it."""
+"""A response with the function of a broadcast counts as a response to it if it comes at most this
+long (ns) after it."""
 
 
 @dataclass(slots=True)

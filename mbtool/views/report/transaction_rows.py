@@ -254,7 +254,7 @@ class TransactionRows:
             self._late.offer(UnitKey(one.link, one.unit), one.latency_ns, number, one.transaction)
         self.transactions += count
 
-    def mark(self, finding: Finding) -> None:
+    def add_finding(self, finding: Finding) -> None:
         """Add a finding about an earlier transaction to its row, unless the row was not kept."""
         found = self._by_time.get((finding.link, finding.unit, finding.ts_ns))
         if found is None or finding.code in found[1]:
