@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     from mbtool.devices import NamedTransaction
     from mbtool.devices.assignment import Assignments
-    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.ledger.answered_reads import PolledValues
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.modbus.tables import Table
     from mbtool.values.followed_values import FollowedValue
@@ -248,22 +248,22 @@ class ValueFaults(Sense):
             poll.words.extend(values)
             self._take(key, poll)
 
-    def reads(self, reads: Sequence[AnsweredReads]) -> None:
+    def reads(self, reads: PolledValues) -> None:
         """Take many answered reads and writes of slaves without profiles together."""
-        for one in reads:
-            function = FUNCTIONS[one.function]
+        for index, asked in enumerate(reads.asked):
+            link, unit, code, address, quantity = asked
+            function = FUNCTIONS[code]
             if function.table is None or function.table.is_bits:
                 continue
             if function.writes:
-                span = range(one.address, one.address + one.quantity)
-                self._note_write(one.link, one.unit, function.table, span)
+                self._note_write(link, unit, function.table, range(address, address + quantity))
                 continue
-            key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
+            key = _Key._make(asked)  # Faster than calling _Key.
             poll = self._polls.get(key)
-            if poll is None:
-                if len(self._polls) >= MAX_POLLS:
-                    continue
-                poll = self._new_poll(key, one.request_ns[0])
+            if poll is None and len(self._polls) >= MAX_POLLS:
+                continue
+            one = reads[index]
+            poll = poll or self._new_poll(key, one.request_ns[0])
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())

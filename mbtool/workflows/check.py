@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
@@ -135,8 +134,6 @@ class CheckedRecord(NamedTuple):
     findings: list[FileFinding]
     rows: BlockRows | None = None
     """Many answered reads that were checked together, instead of a record; otherwise None."""
-    answered: AnsweredRun | None = None
-    """The same reads grouped by poll; None if there is no `rows`."""
     poll: PollStatistics | None = None
     """The poll that the transaction belongs to, in the account; None if it has none."""
     damaged_ns: int | None = None
@@ -363,9 +360,8 @@ class CheckRun:
             if isinstance(some, NamedTransaction | WireEvent):
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
-                answered = some.answered()
-                self._judge.count_run(answered, some.reads())
-                yield CheckedRecord(None, None, findings, some, answered)
+                self._judge.count_run(some.run, some.reads)
+                yield CheckedRecord(None, None, findings, some)
 
     def _check(self, record: Record) -> CheckedRecord:
         if self._lines is None:

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from mbtool.columns.quiet_rows import BlockRows
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
     from mbtool.workflows.check import CheckedRecord, CodeFilter
@@ -168,21 +167,18 @@ class ReportRun:
                 self._rows.add(named, _codes_of(named, findings), one.damaged_ns)
             if one.poll is not None and not isinstance(named, WireEvent):
                 self._rows.pauses.note(one.poll.key, self._rows.transactions, named)
-        if one.rows is not None and one.answered is not None:
+        if one.rows is not None:
             self._note_capture()
-            self._add_rows(one.rows, one.answered)
+            self._add_rows(one.rows)
         for finding in findings:
             self._rows.mark(finding)
 
-    def _add_rows(self, rows: BlockRows, answered: AnsweredRun) -> None:
+    def _add_rows(self, rows: BlockRows) -> None:
         """Take answered reads without findings together; only the first ones of the capture need a
         row of the table.
         """
-        reads = rows.reads()
-        if not self._values.add_reads(reads):
-            for named in rows.transactions(len(rows)):
-                self._values.add(named)
-        self._rows.pauses.note_run(answered, self._rows.transactions, rows.chosen)
+        self._values.add_reads(rows.reads)
+        self._rows.pauses.note_run(rows.run, self._rows.transactions, rows.chosen)
         wanted = self._rows.first_of(len(rows))
         for named in rows.transactions(wanted):
             self._rows.add(named, ())

@@ -9,7 +9,6 @@ from unittest.mock import patch
 import pytest
 
 from mbtool.columns import packet_block, quiet_rows
-from mbtool.columns.quiet_rows import BlockRows
 from mbtool.core import Direction
 from mbtool.devices.checking import checker
 from mbtool.ledger import account
@@ -48,16 +47,16 @@ def page_of(path: Path, at_least: int, *, everything: bool = False) -> tuple[Any
 
 def demand_equal(path: Path, *, everything: bool = False) -> int:
     """Compare both ways, with small blocks; return how many reads were taken together."""
-    rows = BlockRows.answered
+    rows = ReportRun._add_rows
     with (
         patch.object(packet_block, "BLOCK_PACKETS", 150),
         patch.object(quiet_rows, "FEWEST", 2),
         patch.object(checker, "_ONE_BY_ONE", 1),
-        patch.object(BlockRows, "answered", autospec=True, side_effect=rows) as taken,
+        patch.object(ReportRun, "_add_rows", autospec=True, side_effect=rows) as taken,
     ):
         expected = page_of(path, NEVER, everything=everything)
         assert page_of(path, 0, everything=everything) == expected
-    return sum(len(some) for (some,), _ in taken.call_args_list)
+    return sum(len(some) for (_, some), _ in taken.call_args_list)
 
 
 def mixed_polls(seed: int) -> bytes:

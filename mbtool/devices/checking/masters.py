@@ -152,7 +152,7 @@ class MasterRules:
             master.last_ns = max(master.last_ns, one.last_request_ns)
         for write in run.writes:
             masters = self._slaves[write.destination]
-            make = partial(run.head, write.row)
+            make = partial(run.like, write.place)
             self._note_write(
                 masters, masters[host_of(write.source)], Write(write.at_ns, write.packets, make)
             )

@@ -1,52 +1,110 @@
 """Figures about many answered Modbus/TCP reads and writes that break no rule by themselves, for the
-rules of `mbtool check`. The responses may be exceptions.
+rules of `mbtool check`, the account and the troubles. The responses may be exceptions.
 """
 
 # Most transactions of a capture are such reads and writes; columns/ decodes them into arrays,
 # without an object for each. But a rule must remember something about them, such as the last
 # request of a connection or the periods of a poll. The rules take this from the figures here,
 # without checking each transaction. A "run" is a series of such transactions with no other record
-# between them.
+# between them than openings and closings of connections. The place of a transaction is its index in
+# the run.
+#
+# A poll is all equal requests of one master to one unit. Rules and account keep a bounded number of
+# polls, and drop the one whose last request is oldest. The stay of a poll begins with the request
+# that finds no entry for it, and ends when its entry is dropped.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Collection, Iterator
 
     from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
 
+PollName = tuple[object, ...]
+"""The fields of PollKey (ledger/poll_statistics.py): link, the master's host, unit, function, None,
+address, quantity, None and None."""
 
-class QuietPoll(NamedTuple):
-    """The equal requests of one master to one unit in a run."""
+
+class Stay(NamedTuple):
+    """The requests of a run in one stay of a poll."""
+
+    name: PollName
+    number: int
+    """The number of the stay among those that begin in the run; negative if it began before."""
+    places: list[int]
+    """The places of its requests; not empty."""
+
+
+class Stays(NamedTuple):
+    """The stays of the polls of a bounded table, while the requests of a run are made in turn."""
+
+    dropped: list[PollName]
+    """The polls that are dropped before their first request in the run, if any, the oldest
+    first."""
+    ended: list[Stay]
+    """The stays that end within the run, in this order, but those of `passing`."""
+    passing: list[int]
+    """The places of the requests of stays that begin and end within the run and have few requests.
+    The stay that ended first is first."""
+    left: list[Stay]
+    """The stays with a request in the run that do not end, in the order of their last requests."""
+    begun: int
+    """The number of stays that begin in the run."""
+    fresh: list[int]
+    """The places of the first requests of these stays, and of their first ones with another
+    exception code as response."""
+
+
+class AlikeRequests(NamedTuple):
+    """Requests of a run that are equal except for their addresses, quantities, times, transaction
+    ids, values, packets and the TCP port of the master.
+    """
+
+    like: NamedTransaction
+    """One of the transactions as an example of all; it may come from an earlier run."""
+    places: list[int]
+    begin_ns: int
+    """The time (UTC ns) of the earliest request."""
+    end_ns: int
+    """The time (UTC ns) of the latest response."""
+
+
+class LinkRequests(NamedTuple):
+    """The requests of a run to one link, sorted by time."""
 
     link: str
-    master: str
-    """The master's host."""
-    unit: int
-    function: int
-    address: int
-    quantity: int
-    first: int
-    """The row number of the first of these requests, for `QuietRun.head`."""
     request_ns: list[int]
+    bytes_before: list[int]
+    """For each request, the number of bytes in the ADUs of those before it and of their responses;
+    and at the end, that of all."""
+
+
+class UnitRequests(NamedTuple):
+    """The requests of a run on one connection to one unit."""
+
+    source: str
+    """HOST:PORT of the master."""
+    destination: str
+    unit: int
+    places: list[int]
 
 
 class QuietRequest(NamedTuple):
     """A request in a run."""
 
-    poll: int
-    """The index of its poll in `QuietRun.polls`."""
     source: str
     """HOST:PORT of the master."""
     destination: str
+    unit: int
+    function: int
+    address: int
+    quantity: int
     at_ns: int
     """The time of the request, in ns."""
-    row: int
-    """Its row number, for `QuietRun.head`."""
+    place: int
     packets: tuple[int, int]
     """The numbers of the packets of the request and its response."""
     exception: int
@@ -79,60 +137,157 @@ class QuietConnection(NamedTuple):
     beginning then."""
 
 
-class QuietRun:
+class ConnectionCounts(NamedTuple):
+    """Connections of one master at one link that were opened, or closed with FIN, in a run."""
+
+    link: str
+    host: str
+    """The master's host."""
+    opened: int
+    closed: int
+    most: int
+    """The most connections open at once in the run, less those open before it."""
+    first_opened_ns: int | None
+    """The time (UTC ns) of the first opening; None if there is none."""
+
+
+class QuietRun(Protocol):
     """Figures about consecutive Modbus/TCP reads and writes with the outcome OK or EXCEPTION, but
     no exception of a gateway.
 
-    None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
+    None of them has a finding, a retry, or a verdict of the decoder such as `malformed`, and no
+    response comes before its request. Times are UTC ns.
     """
 
-    def __init__(
-        self,
-        connections: list[QuietConnection],
-        polls: Callable[[], list[QuietPoll]],
-        writes: Callable[[], list[QuietRequest]],
-        requests: Callable[[], list[QuietRequest]],
-        head: Callable[[int], NamedTransaction],
-        last_event_ns: int = 0,
-        *,
-        has_exceptions: bool = False,
-    ) -> None:
-        self.connections = connections
+    def __len__(self) -> int:
+        """The number of transactions."""
+        ...
+
+    @property
+    def connections(self) -> list[QuietConnection]:
         """The transactions grouped by connection, in the order of their last requests or
-        openings."""
-        self._polls = polls
-        self._writes = writes
-        self._requests = requests
-        self.head = head
-        """Makes the transaction with a row number, but with the values and bytes of an equal
-        request."""
-        self.has_exceptions = has_exceptions
-        """True if some responses are exceptions."""
-        self.last_event_ns = last_event_ns
-        """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
+        openings.
+        """
+        ...
 
-    @cached_property
-    def polls(self) -> list[QuietPoll]:
-        """The transactions grouped by equal requests, in the order of their last requests."""
-        return self._polls()
+    @property
+    def opened_and_closed(self) -> list[ConnectionCounts]:
+        """The openings and closings of connections among the transactions."""
+        ...
 
-    @cached_property
+    @property
+    def last_event_ns(self) -> int:
+        """The latest time of the opening or closing of a connection; 0 if there is none."""
+        ...
+
+    @property
+    def last_request_ns(self) -> int: ...
+
+    @property
+    def last_response_ns(self) -> int: ...
+
+    @property
+    def longest_ns(self) -> int:
+        """The greatest latency."""
+        ...
+
+    @property
+    def request_ns(self) -> list[int]:
+        """The time of each request, in the order of the responses."""
+        ...
+
+    @property
+    def response_ns(self) -> list[int]: ...
+
+    @property
+    def asked(self) -> list[int]:
+        """The `asked_number` of each request."""
+        ...
+
+    @property
+    def exceptions(self) -> list[int]:
+        """The exception code of each response; -1 for one that is none."""
+        ...
+
+    @property
+    def forms(self) -> list[AlikeRequests]:
+        """The transactions grouped by all but address and quantity, in the order in which the
+        groups first appear.
+        """
+        ...
+
+    @property
+    def form(self) -> list[int]:
+        """For each transaction, the index in `forms` of its group."""
+        ...
+
+    @property
+    def sizes(self) -> tuple[list[int], list[int]]:
+        """For each transaction, the number of bytes of its request ADU, and of its response ADU."""
+        ...
+
+    @property
+    def links(self) -> list[LinkRequests]:
+        """The transactions grouped by link."""
+        ...
+
+    @property
+    def units(self) -> list[tuple[str, int]]:
+        """Link and number of each unit, in the order of their last requests."""
+        ...
+
+    @property
+    def by_unit(self) -> list[UnitRequests]:
+        """The transactions grouped by connection and unit, in the order in which the groups first
+        appear.
+        """
+        ...
+
+    @property
     def writes(self) -> list[QuietRequest]:
         """The writes among them, in their order."""
-        return self._writes()
-
-    @cached_property
-    def requests(self) -> list[QuietRequest]:
-        """All requests, in the order of the responses."""
-        return self._requests()
+        ...
 
     @property
-    def last_request_ns(self) -> int:
-        return max(one.last_request_ns for one in self.connections)
+    def refused(self) -> list[QuietRequest]:
+        """Those whose response is an exception, in their order."""
+        ...
 
-    @property
-    def last_response_ns(self) -> int:
-        return max(one.last_response_ns for one in self.connections)
+    def asks(self, link: str, unit: int, function: int, address: int) -> bool:
+        """True if a request asks this of the unit."""
+        ...
+
+    def stays(self, held: Collection[PollName], limit: int, few: int = 0) -> Stays:
+        """Return the stays of polls in a table with room for `limit` polls. `held` has the polls
+        that are in it before, the one whose last request is oldest first.
+
+        Stays with at most `few` requests that begin and end in the run are `Stays.passing`.
+        """
+        ...
+
+    def polls(self) -> tuple[list[PollName], list[int]]:
+        """Return the polls in the order of their first requests, and for each transaction the index
+        of its poll among these.
+        """
+        ...
+
+    def slow(self, least_ns: int, most: int | None = None) -> list[tuple[int, int]]:
+        """Return place and latency of each transaction that took `least_ns` or longer, in order; of
+        each poll at most `most`, the longest ones.
+        """
+        ...
+
+    def like(self, place: int) -> NamedTransaction:
+        """Make a transaction, but with the values and bytes of one with the same function."""
+        ...
+
+    def packets(self, place: int) -> tuple[int, int]:
+        """Return the numbers of the packets of a request and its response."""
+        ...
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        """Make the transactions one by one."""
+        ...
 
 
 class QuietRows(Protocol):
@@ -142,6 +297,7 @@ class QuietRows(Protocol):
 
     def __len__(self) -> int: ...
 
+    @property
     def run(self) -> QuietRun:
         """The figures about all rows, for the rules."""
         ...
@@ -153,3 +309,12 @@ class QuietRows(Protocol):
     def behind(self, count: int) -> Self:
         """All rows but the first `count`."""
         ...
+
+
+def asked_number(unit: int, function: int, address: int | None, quantity: int | None) -> int:
+    """Return a number by which requests with the same unit, function, address and quantity are
+    recognised; not 0.
+    """
+    if address is None or quantity is None:
+        return hash((unit, function, address, quantity)) or 1
+    return unit << 40 | function << 32 | address << 16 | quantity

@@ -173,13 +173,10 @@ class ResponseRules:
         if pending:
             if not all(self._has_responded[link, unit][0] for link, unit, _ in pending):
                 return False
-            if not {(link, unit, pdu[:3]) for link, unit, pdu in pending}.isdisjoint(
-                (
-                    poll.link,
-                    poll.unit,
-                    poll.function.to_bytes(1, "big") + poll.address.to_bytes(2, "big"),
-                )
-                for poll in run.polls
+            if any(
+                run.asks(link, unit, pdu[0], int.from_bytes(pdu[1:3], "big"))
+                for link, unit, pdu in pending
+                if len(pdu) > 2
             ):
                 return False
         connections = [(one.link, one.source) for one in run.connections]
@@ -204,8 +201,8 @@ class ResponseRules:
                 state.since_ns = one.first_ns
             state.has_request, state.is_damaged = True, False
             state.last_request_ns = max(state.last_request_ns, one.last_request_ns)
-        for poll in run.polls:
-            self._has_responded[poll.link, poll.unit][0] = True
+        for unit in run.units:
+            self._has_responded[unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Note lost or damaged bytes. Yields findings about requests that waited too long."""

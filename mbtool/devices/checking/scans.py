@@ -31,6 +31,7 @@ from msgspec import structs
 
 from mbtool.core import CONNECTION_JOINED
 from mbtool.devices.checking.finding import Finding, event_finding, packets_of, transaction_finding
+from mbtool.devices.checking.quiet_run import asked_number
 from mbtool.devices.checking.security_cases import (
     Packets,
     host_of,
@@ -44,7 +45,7 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Mapping
 
     from mbtool.core import WireEvent
     from mbtool.devices.checking.quiet_run import QuietRun
@@ -68,6 +69,10 @@ _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
 
 
+_AskedUnit = tuple[str, str, int]
+"""The master's IP address, the slave's HOST:PORT, and the unit."""
+
+
 class _UnitRequest(NamedTuple):
     """A request to a unit."""
 
@@ -81,7 +86,7 @@ class _UnitRequest(NamedTuple):
     function: int
     address: int | None
     request: int
-    """A hash of its function, address and quantity, to recognise a repeated request."""
+    """`asked_number` of the request, to recognise a repeated one."""
     at_ns: int
     packets: Packets
     is_answered: bool
@@ -134,7 +139,9 @@ class ScanRules:
             transaction.unit,
             transaction.function,
             transaction.address,
-            hash((transaction.function, transaction.address, transaction.quantity)),
+            asked_number(
+                transaction.unit, transaction.function, transaction.address, transaction.quantity
+            ),
             transaction.start_ns,
             packets_of(transaction),
             transaction.response_raw is not None,
@@ -171,37 +178,67 @@ class ScanRules:
             for unit in one.units
             if not self._units.is_polled((host_of(one.source), one.destination), unit)
         }
-        if not unpolled and not run.has_exceptions:
-            return
-        polls = run.polls
-        hashes = [hash((one.function, one.address, one.quantity)) for one in polls]
-        for one in run.requests:
-            poll, exception = polls[one.poll], one.exception
-            is_unpolled = (one.source, one.destination, poll.unit) in unpolled
-            if exception < 0 and not is_unpolled:
-                continue
-            source, slave = host_of(one.source), one.destination
-            self._heard(source, one.at_ns)
+        if unpolled:
+            self._note_units(run, unpolled)
+        for one in run.refused:
             asked = _UnitRequest(
-                source,
-                slave,
-                host_of(slave),
-                poll.unit,
-                poll.function,
-                poll.address,
-                hashes[one.poll],
+                host_of(one.source),
+                one.destination,
+                host_of(one.destination),
+                one.unit,
+                one.function,
+                one.address,
+                run.asked[one.place],
                 one.at_ns,
                 one.packets,
                 is_answered=True,
-                as_asked=exception < 0,
+                as_asked=False,
             )
-            head = partial(run.head, one.row)
-            if is_unpolled:
-                self._note_unit(asked, head)
-            if exception in _REFUSED_ADDRESS:
-                self._note_register(asked, head)
-            elif exception == ExceptionCode.ILLEGAL_FUNCTION:
-                self._note_function(asked, head)
+            make = partial(run.like, one.place)
+            if one.exception in _REFUSED_ADDRESS:
+                self._note_register(asked, make)
+            elif one.exception == ExceptionCode.ILLEGAL_FUNCTION:
+                self._note_function(asked, make)
+
+    def _note_units(self, run: QuietRun, unpolled: Collection[tuple[str, str, int]]) -> None:
+        """Count the requests of a run to units that are not known to be polled: those with these
+        ends and units.
+        """
+        units: dict[_AskedUnit, list[int]] = {}
+        for source, slave, unit, places in run.by_unit:
+            if (source, slave, unit) in unpolled:
+                self._heard(host_of(source), run.request_ns[places[0]])
+                units.setdefault((host_of(source), slave, unit), []).extend(places)
+        if self._units.has_room(len(units)) and self._hosts.has_room(len(units)):
+            self._note_requests(run, units)
+            return
+        # The order of the requests decides which things are dropped.
+        for place, one in sorted((place, one) for one, some in units.items() for place in some):
+            self._note_requests(run, {one: [place]})
+
+    def _note_requests(self, run: QuietRun, units: Mapping[_AskedUnit, list[int]]) -> None:
+        """Count requests of a run: those at these places, to these units."""
+        hosts: dict[tuple[str, str], list[int]] = {}
+        polled: dict[tuple[str, str], int] = {}
+        """The place of the request that shows that a host is polled."""
+        for (source, slave, unit), places in units.items():
+            host = source, host_of(slave)
+            at = self._units.note_all(
+                (source, slave), unit, run, sorted(places), lambda one: _unit_case(run.like(one))
+            )
+            if at is not None:
+                polled[host] = min(polled.get(host, at), at)
+                places = [place for place in places if place < at]
+            hosts.setdefault(host, []).extend(places)
+        for (source, slave_host), places in hosts.items():
+            end = polled.get((source, slave_host), len(run))
+            before = sorted(place for place in places if place < end)
+            make = partial(_host_finding, run, _hosts(source))
+            self._hosts.note_all((source,), slave_host, run, before, make)
+            if end < len(run):
+                self._hosts.set_polled((source,), slave_host)
+        if polled and self._polled_ns is None:
+            self._polled_ns = run.request_ns[min(polled.values())]
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
@@ -274,7 +311,7 @@ class ScanRules:
         self._hosts.note(
             (source,),
             host,
-            hash((asked.request, asked.unit)),
+            asked.request,
             asked.at_ns,
             lambda: _finding("SEC-201", make(), _hosts(source)),
             is_answered=asked.is_answered,
@@ -362,6 +399,10 @@ def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
     """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)
+
+
+def _host_finding(run: QuietRun, text: str, place: int) -> Finding:
+    return _finding("SEC-201", run.like(place), text)
 
 
 def _hosts(source: str) -> str:

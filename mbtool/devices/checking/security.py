@@ -163,7 +163,7 @@ class CommandRules:
     def run(self, run: QuietRun) -> None:
         """Count many reads and writes together, with the same result as `transaction` for each."""
         for one in run.writes:
-            write = Write(one.at_ns, one.packets, partial(run.head, one.row))
+            write = Write(one.at_ns, one.packets, partial(run.like, one.place))
             self._note_write(self._on_network, host_of(one.source), one.destination, write)
 
     def _note_write(

@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
-from mbtool.core.moments import host_of
 from mbtool.ledger.account import MAX_POLLS
-from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
+from mbtool.ledger.poll_statistics import LONGEST, PollKey
 from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
 from mbtool.troubles.polling import PAUSE_NS
@@ -37,8 +36,8 @@ if TYPE_CHECKING:
 
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.ledger.answered_reads import SlowRead
-    from mbtool.ledger.answered_run import AnsweredRun
 
 # Keeps the transactions before and after the longest pauses of each poll, for the report's table.
 #
@@ -95,7 +94,7 @@ class BesidePauses:
 
     def note_run(
         self,
-        run: AnsweredRun,
+        run: QuietRun,
         number: int,
         transactions_at: Callable[[list[int]], Iterable[NamedTransaction]],
     ) -> None:
@@ -103,16 +102,13 @@ class BesidePauses:
 
         `transactions_at` returns those with these indices in the batch.
         """
-        slots: dict[PollKey, int] = {}
-        likes = (kind.like for kind in run.kinds)
-        keys = (poll_key(like, host_of(like.source)) for like in likes)
-        slot_of = [slots.setdefault(key, len(slots)) for key in keys]
+        names, slot_of = run.polls()
+        slots = {PollKey._make(name): slot for slot, name in enumerate(names)}
         asked = [self._last.get(key) for key in slots]
         last_ns = [_NEVER_NS if one is None else one.one.start_ns for one in asked]
         last_places = [-1] * len(slots)
         beside: list[tuple[int, int, int, int]] = []
-        for place, (kind, at_ns) in enumerate(zip(run.kind, run.request_ns, strict=True)):
-            slot = slot_of[kind]
+        for place, (slot, at_ns) in enumerate(zip(slot_of, run.request_ns, strict=True)):
             if at_ns - last_ns[slot] >= PAUSE_NS:
                 beside.append((slot, at_ns - last_ns[slot], last_places[slot], place))
             last_ns[slot] = at_ns
