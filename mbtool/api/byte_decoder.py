@@ -38,7 +38,7 @@ class ByteDecoder:
     Bytes never raise: bytes that cannot be read become an event that contains them.
     """
 
-    def __init__(self, link: str = "rtu@19200-8E1", *, devices: Devices | None = None) -> None:
+    def __init__(self, link: str = "rtu", *, devices: Devices | None = None) -> None:
         """`link` says where the bytes come from.
 
         It is a serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",
@@ -53,7 +53,7 @@ class ByteDecoder:
         if link in _STREAMS:
             self._connection = Connection(Endpoint("master", 0), Endpoint(_HOST, MODBUS_PORT))
         else:
-            self._line = _settings(link).on(_LINE)
+            self._line = _settings(link).link_at(_LINE)
         self._decoder = Decoder(
             Namer(timing.assignments),
             lines={} if self._line is None else {_LINE: self._line},

@@ -43,7 +43,7 @@ them into a table, and joins the tables at the end. This saves memory."""
 
 
 _SHOWN = 10
-"""A notebook shows so many transactions of a capture."""
+"""A notebook shows the first transactions of a capture, at most this many."""
 
 
 class Capture:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from mbtool.cli.tls_options import TargetTlsOptions
+from mbtool.core.limits import RESPONSE_TIMEOUT_S
 from mbtool.core.moments import DAY_NS
 
 if TYPE_CHECKING:
@@ -47,6 +48,16 @@ ListenOption = Annotated[
         metavar="TIME",
         help="On a serial line, listen first for so long, and send nothing if another master asks "
         "there. 0s: send at once. [default: 1s, or 5s if anything is heard]",
+    ),
+]
+TimeoutOption = Annotated[
+    float,
+    typer.Option(
+        "--timeout",
+        metavar="S",
+        min=0.001,
+        max=3600,
+        help="As the master: how long to wait for an answer, in seconds.",
     ),
 ]
 RecordOption = Annotated[
@@ -121,16 +132,7 @@ class AskOptions(TargetTlsOptions):
             "then be an address alone. [default: the one for the table]",
         ),
     ] = None
-    timeout: Annotated[
-        float,
-        typer.Option(
-            "--timeout",
-            metavar="S",
-            min=0.001,
-            max=3600,
-            help="How long to wait for an answer, in seconds.",
-        ),
-    ] = 1.0
+    timeout: TimeoutOption = RESPONSE_TIMEOUT_S
     listen: ListenOption = None
     between: Annotated[
         bool,
@@ -167,7 +169,7 @@ class AskOptions(TargetTlsOptions):
         unit = parse_unit(self.unit, "--unit")
         profile = self._profile(unit)
         if profile is not None:
-            profile = profile.in_mode(transport_of(link))
+            profile = profile.with_limits_of(transport_of(link))
         code = None
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")

@@ -119,7 +119,7 @@ def check(
     troubles, docs/findings.md those of broken rules.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.output import opened, say_if_empty, told_as_lost, verdict_kept
+    from mbtool.cli.output import as_output_error, opened, say_if_empty, verdict_kept
     from mbtool.cli.output_file import is_old
     from mbtool.cli.output_path import (
         chosen_format,
@@ -128,7 +128,7 @@ def check(
         named_file,
     )
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, interruption_told, say
+    from mbtool.cli.talk import interruptible, say, say_if_interrupted
     from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
@@ -147,7 +147,7 @@ def check(
     broken: InputError | None = None
     if baseline:
         demand_new(path, overwrite=overwrite)
-        with interruption_told():
+        with say_if_interrupted():
             run.reading.demand_files()
             for remark in run.learn(baseline, with_progress):
                 say(remark)
@@ -155,7 +155,7 @@ def check(
     with (
         verdict_kept(lambda: run.is_anything_wrong),
         opened(path, run.reading.demand_files, overwrite=overwrite) as (file, name),
-        told_as_lost(name),
+        as_output_error(name),
         interruptible() as interrupt,
         _finished(
             file,

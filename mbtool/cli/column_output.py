@@ -70,7 +70,7 @@ def print_columns(
             note(record)
 
     columns.on_block = note_block
-    with out.told_as_lost(), ExitStack() as ended:
+    with out.as_output_error(), ExitStack() as ended:
         processes = _processes(columns, out, jobs)
         if processes is not None:
             _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
@@ -107,7 +107,7 @@ def _print_runs(
     for part in with_progress(columns, parts):
         if isinstance(part, UsualRun):
             first = out.count(TransactionCounts(part.outcomes))
-            with out.told_as_lost():
+            with out.as_output_error():
                 printer.print_run(first, part)
         else:
             note(part)

@@ -154,7 +154,7 @@ def _convert(
     else:
         with report_left(out), report_kept(out):
             done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
-        _tell(done, out)
+        _say_written(done, out)
         if topic_per_point and not done.points:
             say("no point has a name, so none has a topic; name the devices: --device WHO=PROFILE")
     for remark in conversion.remarks:
@@ -168,13 +168,13 @@ def _write_each(conversion: Conversion, out: str, *, overwrite: bool) -> None:
 
     files = 0
     for path, done in conversion.write_each(out, overwrite=overwrite):
-        _tell(done, path)
+        _say_written(done, path)
         files += 1
     if not files:
         say("no transaction, so there is no slave to write a file of")
 
 
-def _tell(done: Converted, out: str) -> None:
+def _say_written(done: Converted, out: str) -> None:
     """Print what was written to the file `out`."""
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted

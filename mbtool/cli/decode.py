@@ -34,7 +34,7 @@ from mbtool.cli.options import (
     WhereOption,
 )
 from mbtool.cli.progress import Files, with_progress
-from mbtool.cli.talk import interruption_told, say
+from mbtool.cli.talk import say, say_if_interrupted
 from mbtool.core import InputError, UsageError
 from mbtool.core.moments import counted
 
@@ -132,7 +132,7 @@ def run_job(
         rtu_ports=options.rtu_ports,
         any_port=options.any_port,
         is_anew=overwrite,
-        share=_share(group.share),
+        share=_parse_share(group.share),
     )
     job = DecodeJob(files, output, chosen)
     executor = (
@@ -141,7 +141,7 @@ def run_job(
     decoded = transactions = 0
     failed = []
     kept = f"interrupted; what is decoded is in {output}, and the same command does the rest"
-    with interruption_told(kept):
+    with say_if_interrupted(kept):
         outcomes = job.run(executor)
         first = next(outcomes, None)  # Then the number of files is known.
         left = Files(job.files - job.done_before)
@@ -180,7 +180,7 @@ def refuse_others(given: Mapping[str, object]) -> None:
         )
 
 
-def _share(text: str | None) -> tuple[int, int] | None:
+def _parse_share(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     match = _SHARE.fullmatch(text)

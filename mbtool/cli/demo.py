@@ -39,7 +39,7 @@ def demo(
 
     if write is not None:
         check_log_path(write, overwrite=overwrite)
-    with TemporaryDirectory(prefix="mbtool-demo-") as folder, _log_told(write):
+    with TemporaryDirectory(prefix="mbtool-demo-") as folder, _log_named_at_interruption(write):
         run = Demo(write or str(Path(folder) / "demo.mcap"), overwrite=overwrite)
         say("1. An FT1A Touch (RTU, 19200 baud) and an FA3-AT1M8X (Modbus/TCP) answer two masters;")
         say("   mbtool hears both and logs them:")
@@ -71,7 +71,7 @@ def demo(
 
 
 @contextmanager
-def _log_told(write: str | None) -> Iterator[None]:
+def _log_named_at_interruption(write: str | None) -> Iterator[None]:
     """Print the path `write` of the log if Ctrl-C ends the context and the log exists."""
     try:
         yield

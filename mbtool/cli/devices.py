@@ -2,7 +2,7 @@
 
 # `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not a
 # subcommand is the name or path of a profile, and goes to the hidden subcommand "show". A file with
-# the name of a subcommand can be shown by its path: ./new. The subcommands are in devices_import.py
+# the name of a subcommand can be shown by its path: ./new. The subcommands are below
 # and devices_own.py.
 
 from __future__ import annotations

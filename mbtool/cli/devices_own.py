@@ -228,14 +228,14 @@ def _survey(
     file could be decoded.
     """
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, interruption_told, say
+    from mbtool.cli.talk import interruptible, say, say_if_interrupted
     from mbtool.core import CutError, DamageError
     from mbtool.workflows.shared.reading import Reading
 
     reading = Reading([file], options)
     broken: InputError | None = None
     try:
-        with interruption_told(), interruptible() as interrupt:
+        with say_if_interrupted(), interruptible() as interrupt:
             take(with_progress(reading, interrupt.breakable(reading.records())))
     except (CutError, DamageError) as error:
         broken = error

@@ -60,7 +60,7 @@ def diff(
     from mbtool.cli.options import condition
     from mbtool.cli.output import verdict_kept
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say, say_if_interrupted
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
 
@@ -71,7 +71,7 @@ def diff(
         latency=latency,
         connections=connections,
     )
-    with interruption_told("interrupted; nothing was compared"):
+    with say_if_interrupted("interrupted; nothing was compared"):
         compared = compare(a, b, options, say, with_progress)
     with verdict_kept(lambda: bool(compared.differences)):
         if format_ == "json":

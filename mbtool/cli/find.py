@@ -85,7 +85,7 @@ def find(
     from mbtool.devices import parse_who
     from mbtool.values.sightings import parse_seen, parse_table
 
-    sources, texts = _divided(arguments)
+    sources, texts = _sources_and_numbers(arguments)
     who = parse_who(unit) if unit is not None else None
     seen = [parse_seen(text) for text in texts]
     if values is not None:
@@ -105,7 +105,7 @@ def find(
     )  # fmt: skip
 
 
-def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def _sources_and_numbers(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files or links, and numbers.
 
     The first one is a file or link; the numbers begin with the first of the others that is none.
@@ -153,7 +153,7 @@ def _find_in_files(
     from mbtool.cli.found_output import keep_places, print_changes, print_places
     from mbtool.cli.output import say_if_empty
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say, say_if_interrupted
     from mbtool.core import UsageError
     from mbtool.values.finding import LIKELY
     from mbtool.values.sightings import parse_time
@@ -163,7 +163,7 @@ def _find_in_files(
     between = [parse_time(text) for text in changed_between or ()]
     run = FindRun(files, source.read(raw=raw, silences=silences), who)
     run.reading.demand_files()
-    with interruption_told():
+    with say_if_interrupted():
         run.read([one.time for one in seen if one.time is not None], with_progress)
     for remark in run.reading.remarks:
         say(remark)
@@ -214,7 +214,7 @@ def find_live(
     An empty line ends it. Raises LinkError if a link cannot be opened.
     """
     from mbtool.cli.found_output import keep_places, print_places
-    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, sniffer_of
     from mbtool.cli.talk import say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
@@ -226,7 +226,7 @@ def find_live(
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     specs = [parse_link(link, HEARD) for link in sources]
-    allowed, tcp_ports = allowed_networks(specs, None), heard_ports(specs, ports)
+    allowed, tcp_ports = allowed_networks(specs, None), chosen_tcp_ports(specs, ports)
     timing = LineTiming(Assignments(), *silences.read())
     serial_lines(specs)
     specs = timing.given(with_settings(specs, say))

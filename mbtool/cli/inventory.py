@@ -92,7 +92,7 @@ def inventory(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
-    from mbtool.cli.output import opened, say_if_empty, say_troubles, told_as_lost
+    from mbtool.cli.output import as_output_error, opened, say_if_empty, say_troubles
     from mbtool.cli.output_file import report_kept, report_left
     from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
@@ -122,7 +122,7 @@ def inventory(
             document = run.take(say, with_progress)
             run.reading.demand_readable()
             new = changes_since(baseline, document, options, say) if baseline else None
-        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), as_output_error(name):
             if chosen is InventoryFormat.JSON:
                 file.write(_json(run, document, new, __version__))
             else:

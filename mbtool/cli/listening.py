@@ -22,7 +22,7 @@ _TOLD_S = 30.0
 terminal."""
 
 
-def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
+def chosen_tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """Return the TCP ports of --port and --rtu-port; 502 if --port names none.
 
     If --port is given but no link is an interface (net:), print that it has no effect. Raises

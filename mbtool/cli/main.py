@@ -1,6 +1,6 @@
 """The entry of the command line: mbtool COMMAND."""
 
-# Each command has a file of its own, named by command_table.py. It imports other modules only when
+# Each command has a file of its own, named below. It imports other modules only when
 # it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
 # exit code.
 #
@@ -198,7 +198,7 @@ def _open_standard_descriptors() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command, flush standard output, and return the exit code."""
-    code = _told(arguments)
+    code = _run_command(arguments)
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -211,7 +211,7 @@ def run(arguments: list[str]) -> int:
     return code
 
 
-def _told(arguments: list[str]) -> int:
+def _run_command(arguments: list[str]) -> int:
     """Run one command, print its error if it raises one, and return the exit code."""
     root = get_command(app)
     try:
@@ -426,7 +426,7 @@ def install(shell: str | None) -> None:
         return
     from typer._completion_shared import install as install_script
 
-    name = _named(INSTALL, shell)
+    name = _chosen_shell(INSTALL, shell)
     if name in ("powershell", "pwsh") and shutil.which(name) is None:
         raise UsageError(f"{INSTALL} {name}: there is no {name} on this machine")
     _, path = install_script(shell=name, prog_name=_PROGRAM, complete_var=COMPLETE)
@@ -439,13 +439,13 @@ def show(shell: str | None) -> None:
         return
     from typer._completion_shared import get_completion_script
 
-    name = _named(SHOW, shell)
+    name = _chosen_shell(SHOW, shell)
     script = get_completion_script(prog_name=_PROGRAM, complete_var=COMPLETE, shell=name)
     typer.echo(script)
     raise typer.Exit
 
 
-def _named(option: str, shell: str) -> str:
+def _chosen_shell(option: str, shell: str) -> str:
     """Return the name of the shell that the user named, or of the one in which mbtool runs.
 
     Raises UsageError if completion is not known for that shell.

@@ -182,15 +182,17 @@ class TcpPorts(NamedTuple):
     """The TCP ports on which mbtool looks for Modbus."""
 
     ports: list[int]
-    """Ports of Modbus/TCP."""
+    """The ports whose connections are read as Modbus/TCP."""
     rtu_ports: list[int]
-    """Ports of RTU over TCP."""
+    """The ports whose connections are read as RTU over TCP."""
     any_port: bool
     """True to look for Modbus/TCP and RTU over TCP on the ports that are in neither list, too."""
 
     @property
     def expected(self) -> frozenset[int] | None:
-        """The ports on which Modbus is expected, if mbtool looks for it on all ports; else None."""
+        """The ports on which Modbus is expected, if mbtool looks for it on all ports: there fewer
+        bytes are enough to find it. None if it looks on the given ports only.
+        """
         from mbtool.core.limits import MODBUS_PORT
 
         if not self.any_port:

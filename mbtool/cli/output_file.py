@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.cli.talk import NOTHING_WRITTEN, interruption_told, say
+from mbtool.cli.talk import NOTHING_WRITTEN, say, say_if_interrupted
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replacing
@@ -57,7 +57,7 @@ def report_left(path: str | None) -> Iterator[None]:
             return f"interrupted; {path} stays as it was"
         return f"interrupted; {path} ends early" if is_old(path) else NOTHING_WRITTEN
 
-    with interruption_told(left):
+    with say_if_interrupted(left):
         yield
 
 

@@ -73,13 +73,13 @@ def plot(
     from mbtool.cli.output import demand_standard_output, say_if_empty
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say, say_if_interrupted
     from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
     from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
-    files, texts = _divided(arguments)
+    files, texts = _files_and_references(arguments)
     files = named_files(files)
     if output is not None and not texts:
         raise UsageError("name what to plot behind the files; without --output they are listed")
@@ -98,7 +98,7 @@ def plot(
     run = PlotRun(files, options, texts, window, condition(where), guesses=guesses)
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    with interruption_told():
+    with say_if_interrupted():
         values = run.take(with_progress)
     if path is not None and picture is not None:
         _write(values, path, picture, overwrite=overwrite)
@@ -120,7 +120,7 @@ def plot(
         raise run.error
 
 
-def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def _files_and_references(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files and references to plot.
 
     The first argument is always a file. The references begin with the first of the others that is
@@ -160,7 +160,7 @@ def _demand_matplotlib() -> None:
 
 
 def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:
-    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.output import as_output_error, opened
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted
     from mbtool.views.plot_image import write_image
@@ -168,7 +168,7 @@ def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -
     series = list(values.series.items())
     if not series:
         return
-    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+    with opened(path, lambda: None, overwrite=overwrite) as (file, name), as_output_error(name):
         write_image(series, values.begin_ns, values.end_ns, file.buffer, format_)
         file.flush()
     say(f"{counted(len(series), 'value')} -> {path}")
@@ -180,7 +180,7 @@ def _print(
     from rich.text import Text
 
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.output import told_as_lost
+    from mbtool.cli.output import as_output_error
     from mbtool.cli.talk import say
     from mbtool.core.moments import counted
     from mbtool.sources.files import shown_name
@@ -192,7 +192,7 @@ def _print(
     charts = sum(not one.bit for one in changing.values())
     size = _size(console, charts, len(values.series) + len(changing) - charts)
     lines: Sequence[StyledLine] = ()
-    with told_as_lost("standard output"):
+    with as_output_error("standard output"):
         if as_json:
             sys.stdout.write(values_json(values.series, [*map(shown_name, files)], values.left_out))
         elif not values.series:

@@ -137,7 +137,7 @@ class Polling:
             if rounds != count:
                 interrupt.wait((due_ns - now_ns) / 1e9)
         if self.values is not None:
-            _write(self.values.rest())
+            _write(self.values.take_held_lines())
 
     def _send(self, pdu: bytes, interrupt: Interrupt) -> None:
         while not interrupt.asked:

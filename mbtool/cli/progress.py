@@ -61,10 +61,10 @@ def with_progress(work: Work, records: Iterator[T]) -> Iterator[T]:
     `work` is what yields the records, such as a reading; a record is a transaction, or a block of
     them, or with `Files` the result of a file.
     """
-    return _shown(work, records) if sys.stderr.isatty() else records
+    return _with_progress_bar(work, records) if sys.stderr.isatty() else records
 
 
-def _shown(work: Work, records: Iterator[T]) -> Iterator[T]:
+def _with_progress_bar(work: Work, records: Iterator[T]) -> Iterator[T]:
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import (

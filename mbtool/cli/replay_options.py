@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
-from mbtool.cli.ask_options import ListenOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, TimeoutOption, listen_ns
 from mbtool.cli.option_groups import OptionGroup
+from mbtool.core.limits import RESPONSE_TIMEOUT_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -314,16 +315,7 @@ class AsMasterOptions(OptionGroup):
             "FILE for --ignore-from.",
         ),
     ] = None
-    timeout: Annotated[
-        float,
-        typer.Option(
-            "--timeout",
-            metavar="S",
-            min=0.001,
-            max=3600,
-            help="As the master: how long to wait for an answer, in seconds.",
-        ),
-    ] = 1.0
+    timeout: TimeoutOption = RESPONSE_TIMEOUT_S
     listen: ListenOption = None
     latency_tolerance: Annotated[
         float | None,

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 _MOST_KINDS = 10
-"""At most so many different requests that were never recorded are listed for a slave."""
+"""For each slave, at most this many different requests that were never recorded are listed."""
 _NAME_WIDTH = 21
 """Width of the column of slaves in characters: enough for an IPv4 address and a port."""
 

@@ -92,7 +92,7 @@ def report(
     docs/report.md explains it.
     """
     from mbtool.cli.options import condition, given_types
-    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.output import as_output_error, opened
     from mbtool.cli.output_file import report_kept, report_left
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
@@ -150,7 +150,7 @@ def report(
             run.read(with_progress)
             run.reading.demand_readable()
             text = run.page(against, say)
-        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), as_output_error(name):
             file.write(text)
             file.flush()
     for remark in run.remarks:
@@ -172,7 +172,7 @@ def _write_folder(
     overwrite: bool,
 ) -> None:
     """Write the page with a line for each of `files` to `path`, None for standard output."""
-    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.output import as_output_error, opened
     from mbtool.cli.output_file import report_left
     from mbtool.cli.output_path import demand_new
     from mbtool.cli.progress import Files, with_progress
@@ -187,7 +187,7 @@ def _write_folder(
         demand_new(path, overwrite=overwrite)
         found = list(with_progress(work, work.counted(verdicts)))
         text = page_of(folder, found, words)
-        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), as_output_error(name):
             file.write(text)
             file.flush()
     levels = [one.level for one in found]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, RecordOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, RecordOption, TimeoutOption, listen_ns
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import ListFormat
 from mbtool.cli.tls_options import TargetTlsOptions
@@ -82,12 +82,7 @@ def scan(
             help="Send at most so many requests in 1 s.",
         ),
     ] = 50.0,
-    timeout: Annotated[
-        float,
-        typer.Option(
-            "--timeout", metavar="S", min=0.001, max=60, help="How long to wait for an answer."
-        ),
-    ] = 0.3,
+    timeout: TimeoutOption = 0.3,
     listen: ListenOption = None,
     between: Annotated[
         bool, typer.Option("--between", help="Send only in the pauses of another master.")
@@ -333,17 +328,17 @@ class _Runner:
         if addresses is None:
             return
         for found in list(self.state.units):
-            for table, at in work.registers(found.unit, addresses):
+            for table, at in work.scan_registers(found.unit, addresses):
                 yield f"unit {found.unit}, {table.value} up to {at - 1}"
 
     def _keep(self, file: Path) -> None:
         import msgspec
 
-        from mbtool.cli.output import told_as_lost
+        from mbtool.cli.output import as_output_error
         from mbtool.core.replacing import replace_content
 
         text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
-        with told_as_lost(str(file)):
+        with as_output_error(str(file)):
             replace_content(file.resolve(), text)
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:

@@ -140,7 +140,7 @@ def slave(
 
         def look() -> None:
             show()
-            _tell(monitor)
+            _say_changes(monitor)
 
         serve(shell, who, look)
 
@@ -152,7 +152,7 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
     out.wait()
 
 
-def _tell(monitor: SlaveMonitor) -> None:
+def _say_changes(monitor: SlaveMonitor) -> None:
     """Say which outputs changed since the last call, and how many requests were not shown."""
     from mbtool.cli.talk import say
 

@@ -133,7 +133,7 @@ class ModemOptions(OptionGroup):
     ] = None
     rts: Annotated[LineChoice | None, typer.Option("--rts", help="The same for RTS.")] = None
 
-    def on(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
+    def applied_to(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
         """Return the links, with the chosen states of DTR and RTS in the serial lines.
 
         Raises UsageError if states are chosen but no link is a serial line.
@@ -200,8 +200,8 @@ def sniff(
     """
     from mbtool.cli.listening import (
         allowed_networks,
+        chosen_tcp_ports,
         found_settings,
-        heard_ports,
         read_only_taps,
         sniffer_of,
     )
@@ -224,13 +224,13 @@ def sniff(
     codes = log.keep_around or ()
     told = live_out.open(lambda text: say(f"mbtool: {text}"), allowed, codes)
     devices, wanted = assignments(device), condition(where)
-    tcp_ports = heard_ports(specs, ports)
+    tcp_ports = chosen_tcp_ports(specs, ports)
     specs = read_only_taps(specs, tcp_ports) if read_only else specs
     timing = LineTiming(devices, *silences.read())
     # Finding the settings of a line may take minutes, so errors are checked before that.
     serial_lines(specs)
     log.check_path()
-    specs = modem.on(timing.given(found_settings(specs, wait)))
+    specs = modem.applied_to(timing.given(found_settings(specs, wait)))
     run = ServiceRun(os.environ) if log.service else None
     begin = log.creation(specs, timing, tcp_ports, told, run)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)

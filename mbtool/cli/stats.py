@@ -146,14 +146,14 @@ class _Shown:
         `profile_named` returns the profile of this name, if it is in use.
         """
         from mbtool.cli.console import PipeConsole
-        from mbtool.cli.output import told_as_lost
+        from mbtool.cli.output import as_output_error
         from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
         if self.is_advice:
             _print_advice(account, judgement, profile_named, as_json=self.as_json)
             return
-        with told_as_lost("standard output"):
+        with as_output_error("standard output"):
             if self.as_json:
                 text = statistics_document(
                     account,
@@ -214,7 +214,7 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     from mbtool.cli.options import condition
     from mbtool.cli.output import say_if_empty
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, interruption_told, say
+    from mbtool.cli.talk import interruptible, say, say_if_interrupted
     from mbtool.core import InputError
     from mbtool.workflows.check import CheckRun
 
@@ -223,7 +223,7 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     reading = run.reading
     reading.demand_files()
     broken: InputError | None = None
-    with interruption_told(), interruptible() as interrupt:
+    with say_if_interrupted(), interruptible() as interrupt:
         try:
             for _ in interrupt.breakable(run.findings(with_progress)):
                 pass
@@ -265,7 +265,7 @@ def _listen(
     On a terminal they are shown each second until then. `device` and `allow` are the values of
     --device and --allow. Listening ends with Ctrl-C, or after `duration_s` seconds if not None.
     """
-    from mbtool.cli.listening import allowed_networks, found_settings, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, found_settings, sniffer_of
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.talk import Interrupted, interruptible, say
     from mbtool.core import parse_link
@@ -276,7 +276,7 @@ def _listen(
 
     wanted = None if shown.where is None else condition(shown.where)
     specs = [parse_link(link, HEARD) for link in shown.sources]
-    allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
+    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, ports)
     devices = assignments(device)
     timing = LineTiming(devices, *silences.read())
     serial_lines(specs)

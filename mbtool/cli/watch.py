@@ -146,7 +146,7 @@ def _watch_links(
 ) -> None:
     from collections import deque
 
-    from mbtool.cli.listening import allowed_networks, found_settings, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, found_settings, sniffer_of
     from mbtool.cli.log_options import place_of
     from mbtool.cli.options import assignments
     from mbtool.cli.talk import interruptible, say
@@ -162,7 +162,7 @@ def _watch_links(
     from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver
 
     specs = [parse_link(link, HEARD) for link in sources]
-    allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
+    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, ports)
     devices = assignments(device, types)
     timing = LineTiming(devices, *silences.read())
     serial_lines(specs)

@@ -460,7 +460,7 @@ def _places(rows: PlainRows) -> list[_Place]:
     ]
 
 
-def in_turn(
+def items_in_packet_order(
     rows: PlainRows,
     is_usual: Bools,
     records: list[tuple[int, Record]],

@@ -206,15 +206,15 @@ class _QuietBlock:
         sizes = [len(events.key), len(records), len(rows.response)]
         of_kind = np.repeat(np.arange(3), sizes)[order]
         self._row_items = np.flatnonzero(of_kind == _ROW)
-        self._rows_before = _before(of_kind == _ROW)
-        self._events_before = _before(of_kind == _EVENT)
+        self._rows_before = _counts_before(of_kind == _ROW)
+        self._events_before = _counts_before(of_kind == _EVENT)
         is_together = of_kind == _EVENT
         is_together[self._row_items] = self._is_quiet
         cuts = np.flatnonzero(is_together[1:] != is_together[:-1]) + 1
-        records_before = _before(of_kind == _RECORD).tolist()
+        records_before = _counts_before(of_kind == _RECORD).tolist()
         for begin, end in pairwise([0, *cuts.tolist(), len(order)]):
             if is_together[begin]:
-                yield from self._some(begin, end)
+                yield from self._rows_or_items(begin, end)
                 continue
             at = begin
             for number in range(records_before[begin], records_before[end]):
@@ -224,7 +224,7 @@ class _QuietBlock:
                 at = place + 1
             yield from self.items(at, end)
 
-    def _some(self, begin: int, end: int) -> Iterator[BlockRows | Record]:
+    def _rows_or_items(self, begin: int, end: int) -> Iterator[BlockRows | Record]:
         """Yield quiet items together, or single if too few of them are rows."""
         first, last = self._rows_before[[begin, end]].tolist()
         if last - first < FEWEST:
@@ -457,7 +457,7 @@ def _overlap(rows: PlainRows, connection: Numbers) -> Bools:
     return found
 
 
-def _before(is_one: Bools) -> Int64s:
+def _counts_before(is_one: Bools) -> Int64s:
     """Return for each item how many items before it are of a kind; then how many are in all."""
     before: Int64s = np.concatenate([[0], np.cumsum(is_one)]).astype(np.int64)
     return before

@@ -61,7 +61,7 @@ def make_folder(folder: Path) -> None:
 
 
 _NO_SYNC = frozenset((errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF))
-"""So says a file system that cannot sync folders."""
+"""The errors with which a file system says that it cannot sync folders; they are ignored."""
 
 
 def sync_folder(folder: Path) -> None:

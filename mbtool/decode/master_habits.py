@@ -21,6 +21,7 @@ the master sends nothing more."""
 UNUSUAL = 3
 """A response is unusually slow if it takes this many times the mean latency of its function."""
 MIN_LATE_NS = 30_000_000
+"""The least result (ns) of `late_ns` of a pipelining master, of `silence_ns` and of `slow_ns`."""
 FIRST_LATE_NS = 100_000_000
 """The result (ns) of `late_ns`, `silence_ns` and `slow_ns` before the first response. No master has
 a shorter response timeout by default."""

@@ -98,16 +98,18 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 TIMEOUT_NS = 60_000_000_000
-"""A request without a response is closed after this time, in ns. No master waits so long, so a late
+"""A request that got no response within this time (ns) is closed. Masters wait less, so that a late
 response is still paired with its request."""
 MAX_HELD = 32
-"""The most responses held back until something decides which request they answer."""
+"""At most this many responses of a connection wait until a later ADU shows which requests they
+answer."""
 HOLD_NS = 3_000_000_000
 """The longest time, in ns, that a response is held back because it may answer one of several
 requests. A user who watches a live capture sees its transaction later by up to this time."""
 MAX_LOST_REQUESTS = 32
-"""The most requests that are supposed to be in one run of lost bytes."""
+"""A run of lost bytes is taken for at most this many requests."""
 MANY_LOSSES = 2
+"""The number of losses within NEAR_REQUESTS requests from which on pairs are doubtful."""
 NEAR_REQUESTS = 32
 """Losses whose number of requests or responses is not known make the later pairs doubtful if the
 capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. For a single such loss, its
@@ -115,17 +117,21 @@ length is enough evidence: in simulated plants, no pair is wrong if every twenti
 If every fifth is lost, 0.05 % of the pairs that are not doubtful are wrong (0.3 % with
 MANY_LOSSES = 3)."""
 ONE_REQUEST = 16
-"""Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
+"""A run of fewer lost bytes than this is taken for one request: the shortest request has 8 bytes,
+two have 16."""
 RECENT_WAITS = 16
+"""The number of last waits of a master for a request without a response that are kept."""
 ENOUGH_WAITS = 3
+"""The number of about equal waits (EVEN) from which on they count as the master's time-out."""
 EVEN = 0.15
-"""The master has a time-out if ENOUGH_WAITS of its last RECENT_WAITS waits differ by at most this
-share (0 to 1)."""
+"""Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
+RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
 _USUAL_REQUEST = 12
-"""Bytes of a read request's ADU. The number of lost requests is estimated as if all were reads."""
+"""The size in bytes of the ADU of a read request. The number of lost requests is the number of lost
+bytes divided by this."""
 
 
 class NetworkPairing:
@@ -230,7 +236,7 @@ class NetworkPairing:
             if self._is_lossy and (end is None or lost >= ONE_REQUEST):
                 self._doubt_order([])
         else:
-            self._lose_responses(lost, at_ns)
+            self._note_lost_responses(lost, at_ns)
             self._habits.lost_response_ns = at_ns
         self._settle(done)
         return done
@@ -374,7 +380,7 @@ class NetworkPairing:
             # Usually one request waits. This shortcut makes pairing an ADU take 8 instead of 13 us.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
-            done.append(self._with_response(response, one, since_ns, place))
+            done.append(self._answered_transaction(response, one, since_ns, place))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
         readings: list[PairReading] = []
@@ -405,7 +411,7 @@ class NetworkPairing:
         found = [*options(reading, response, place, self._habits)]
         is_before = all(option.request is REQUEST_BEFORE for option in found)
         if found and is_before and is_only_one:
-            one = self._of_other_id(reading, response, place)
+            one = self._request_with_other_id(reading, response, place)
             if one is not None and one.transaction_id == response.transaction_id:
                 if self._habits.ids_vary:
                     return [PairOption(0.0, one)]
@@ -413,11 +419,14 @@ class NetworkPairing:
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
-        if is_only_one and (one := self._of_other_id(reading, response, place)) is not None:
+        if (
+            is_only_one
+            and (one := self._request_with_other_id(reading, response, place)) is not None
+        ):
             return [PairOption(0.0, one)]
         return [PairOption(UNASKED, None)]
 
-    def _of_other_id(
+    def _request_with_other_id(
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
         """Return the request that a response with another id answers; None if that is doubtful.
@@ -452,7 +461,7 @@ class NetworkPairing:
         """True if a response may answer a request from the time at which the capture lost bytes."""
         return lost_ns is not None and response.start_ns - lost_ns <= TIMEOUT_NS
 
-    def _lose_responses(self, lost: int, at_ns: int) -> None:
+    def _note_lost_responses(self, lost: int, at_ns: int) -> None:
         runs: list[tuple[float, float, int, int, PairReading]] = []
         is_counted = True
         for reading in self._readings:
@@ -477,7 +486,7 @@ class NetworkPairing:
         for total, cost, start, count, reading in runs:
             if total <= limit:
                 other = reading.copy()
-                other.lose(start, count, cost, at_ns)
+                other.suppose_lost_responses(start, count, cost, at_ns)
                 self._readings.append(other)
 
     def _doubt_order(self, open_: list[OpenRequest], *, others_answered: bool = False) -> None:
@@ -552,7 +561,7 @@ class NetworkPairing:
             if self._may_lack_request_of(response):
                 outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
-        return self._with_response(
+        return self._answered_transaction(
             response,
             step.requests[0],
             step.since_ns,
@@ -567,7 +576,7 @@ class NetworkPairing:
             return self._joined
         return self._is_near_loss(self._requests_lost_ns, response)
 
-    def _with_response(
+    def _answered_transaction(
         self,
         response: Adu,
         one: OpenRequest,

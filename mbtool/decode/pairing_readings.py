@@ -86,14 +86,17 @@ MAX_LATE = 4
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
 MAX_LOST_RUNS = 16
-"""About so many guesses are tried as to which requests' responses the missing bytes were. The
-guesses with the earliest requests come first, as a slave answers in order. More would cost time in
-a connection that is not Modbus."""
+"""For lost bytes of responses, about this many choices of the requests that they answered are
+tried, those with the earliest requests first, as a slave answers in order. More would take too long
+in a connection that is not Modbus."""
 MAX_READINGS = 20
+"""At most this many readings (ways to pair) are kept, the cheapest ones."""
 MAX_PASSED = 64
+"""At most this many given-up requests of a reading can still get a late response; older ones are
+closed."""
 MAX_NUMBERS = 1024
-"""If more numbers of requests are remembered, those of closed requests are forgotten. At most 320
-requests are open, so that this is done rarely."""
+"""If a reading remembers the numbers of more requests than this, those of closed requests are
+forgotten. At most 320 requests are open, so that this is done rarely."""
 MAX_LOST_RESPONSES = 8
 """Lost bytes are taken for at most this many responses. This limits the number of combinations of
 response lengths that are tried."""
@@ -271,7 +274,7 @@ class PairReading:
             self.waiting.remove(request)
             self.newest = max(request.number, self.newest)
 
-    def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
+    def suppose_lost_responses(self, start: int, count: int, cost: float, at_ns: int) -> None:
         """Suppose that lost bytes answered the requests `waiting[start : start + count]`.
 
         `cost` (in units of LATE) is added to the reading's cost; `at_ns` is the time at which the
@@ -339,7 +342,7 @@ def options(
     for one in reading.waiting:
         if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
             passed = _cost_of_passing_all(reading, skipped, one, habits)
-            cost = passed + _cost(one, response, reading, habits)
+            cost = passed + _response_cost(one, response, reading, habits)
             best = min(best, cost)
             yield PairOption(cost, one)
             if passed > best + MARGIN:
@@ -349,7 +352,7 @@ def options(
         return  # A request in `passed` would cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
-            cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
+            cost = OUT_OF_ORDER + _response_cost(one, response, reading, habits)
             yield PairOption(cost, one)
 
 
@@ -409,7 +412,9 @@ def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
     return UNANSWERED - LATE if one.number in reading.given_up else UNANSWERED
 
 
-def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits) -> float:
+def _response_cost(
+    one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits
+) -> float:
     if one.adu is None:
         if _captured_has_id(response, reading, habits, one.number):
             return OTHER_ID

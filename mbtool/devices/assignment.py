@@ -154,7 +154,8 @@ class Assignments:
         # Make each profile for ASCII mode only once. Namer, which names transactions, caches what
         # it compiles from a profile by the profile's id(), which a second copy would not share.
         self._in_ascii = {
-            each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
+            each.profile.name: each.profile.with_limits_of(Transport.ASCII)
+            for each in self._assignments
         }
         seen: dict[Who, Profile] = {}
         for each in self._assignments:

@@ -400,7 +400,7 @@ class Profile(_Part, frozen=True, kw_only=True, dict=True):
             return self.exceptions.documented
         return rule.documented
 
-    def in_mode(self, transport: Transport) -> Profile:
+    def with_limits_of(self, transport: Transport) -> Profile:
         """The profile with the limits that hold for a transport. Only ASCII mode may have limits of
         its own.
         """

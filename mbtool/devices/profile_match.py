@@ -151,7 +151,7 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
     matches = [
         _match(
             slave,
-            profile.in_mode(Transport.ASCII) if in_ascii else profile,
+            profile.with_limits_of(Transport.ASCII) if in_ascii else profile,
             known,
             addresses,
             grouped,
@@ -272,8 +272,8 @@ def _compare_names(slave: ObservedSlave, profile: Profile, reasons: list[str]) -
     """True if the identity that the slave reports names the profile's vendor or device. Then adds a
     sentence to `reasons`.
     """
-    known = _words(f"{profile.vendor} {profile.title} {profile.name}")
-    matching = {name: text for name, text in slave.identity.items() if known & _words(text)}
+    known = _telling_words(f"{profile.vendor} {profile.title} {profile.name}")
+    matching = {name: text for name, text in slave.identity.items() if known & _telling_words(text)}
     if matching:
         texts = ", ".join(f"{name} {text!r}" for name, text in sorted(matching.items()))
         reasons.append(f"it says of itself: {texts}")
@@ -288,7 +288,7 @@ _COMMON_WORDS = frozenset(
 )  # fmt: skip
 
 
-def _words(text: str) -> set[str]:
+def _telling_words(text: str) -> set[str]:
     words = re.findall(r"[a-z0-9]+", text.lower())
     return {word for word in words if len(word) >= _MIN_WORD_LETTERS} - _COMMON_WORDS
 

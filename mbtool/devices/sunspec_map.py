@@ -46,7 +46,7 @@ class ScaleFactors:
         self._names = names
         self._slaves: dict[_Slave, dict[str, int]] = {}
 
-    def after(
+    def update(
         self, transaction: Transaction, read: Sequence[tuple[int, PointInstance]]
     ) -> Mapping[str, int]:
         """Take a transaction into account, and return the slave's powers of ten, by the name of the

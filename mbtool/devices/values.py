@@ -37,15 +37,6 @@ _MAX_CACHED = 256
 _BIT_TEXTS = {0: "off", 1: "on"}
 NO_VALUE = "no value"
 
-_FORMATS = {
-    PointType.INT16: ">h",
-    PointType.INT32: ">i",
-    PointType.INT64: ">q",
-    PointType.FLOAT32: ">f",
-    PointType.FLOAT64: ">d",
-}
-"""The formats of Python's module struct for signed and float types. All other types are unsigned
-numbers, which are read without struct."""
 # The number of significant digits to show: a 32-bit float has 7, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
 _DIGITS = 15
@@ -284,17 +275,7 @@ def _number(point: Point, raw: Sequence[int]) -> float | None:
     """
     if point.type is PointType.BIT:
         return raw[0]
-    if point.type is PointType.STRING:
-        return None
-    data = _bytes(point, raw)
-    if point.type.is_bcd:
-        digits = data.hex()
-        return int(digits) if digits.isdecimal() else None
-    form = _FORMATS.get(point.type)
-    if form is None:
-        return int.from_bytes(data, "big")
-    (number,) = struct.unpack(form, data)
-    return float(number) if isinstance(number, float) else int(number)
+    return point.type.number(_bytes(point, raw))
 
 
 def _bytes(point: Point, raw: Sequence[int]) -> bytes:
@@ -338,7 +319,7 @@ def _number_bytes(point: Point, number: float, value: float | str) -> bytes:
     size = 2 * point.words
     if point.type.is_float:
         try:
-            return struct.pack(_FORMATS[point.type], number)
+            return struct.pack(f">{point.type.struct_code}", number)
         except OverflowError:
             raise UsageError(f"{value} is too large for {point.type}") from None
     allowed = point.type.whole_numbers or range(1 << WORD_BITS)

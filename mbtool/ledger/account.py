@@ -48,12 +48,20 @@ if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
 
 MAX_POLLS = 2048
+"""The most polls with counts of their own; beyond it, the one asked least recently ends, and its
+counts stay in those of its function."""
 MAX_UNITS = 65_536
+"""The most units of all links together; further ones are counted under OTHER_UNITS."""
 MAX_USES = 131_072
+"""The most pairs of unit and function; further ones are counted under OTHER_UNITS."""
 MAX_MASTERS = 65_536
+"""The most masters with counts of their own."""
 MAX_LINKS = 65_536
+"""The most links with counts of their own; further ones are counted under OTHER_LINKS."""
 MAX_PAIRS = 4096
+"""The most pairs of link and master whose connections are counted."""
 _MAX_HOSTS = 65_536
+"""The most addresses whose host is kept; if there are more, all are forgotten."""
 _FEW = 2
 """A poll that is removed after at most so many requests belongs to no poll cycle."""
 

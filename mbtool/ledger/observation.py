@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from mbtool.ledger.unit_account import UnitAccount
 
 MAX_REQUESTS = 131_072
+"""The most different requests of all units together; further ones are not noted."""
 MAX_TEXTS = 4
+"""The most different identity texts of one name that are kept of a unit."""
 MODEL_CODE = "model code"
 UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
 """Outcomes of transactions in which no response of the slave was seen."""

@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from mbtool.ledger.unit_account import UseAccount
 
 LONG_NS = 3_000_000_000
-"""The longest periods of a poll are kept with their begins if they are at least this long (ns)."""
+"""Periods of a poll of at least this length (ns) are kept with the times at which they began, up to
+LONGEST of them."""
 LONGEST = 5
-"""At most so many of them are kept."""
+"""The number of longest periods that are kept of a poll."""
 _PERIOD_BUCKETS = 256
+"""The most buckets in the distribution of a poll's periods."""
 _USUAL = 0.25
-"""A request comes at the usual period of its poll if it differs from it by at most this share."""
+"""A request is the next one of its poll, and no retry, if the time since the last one differs from
+the poll's median period by at most this share (0 to 1)."""
 _ENOUGH_PERIODS = 5
 """A poll with fewer periods than this has no usual period."""
 _STEADY = 8
@@ -98,7 +101,7 @@ class PollStatistics:
         tally: RequestTally | None = None,
     ) -> None:
         self.use = use
-        """The use of the poll's function; its unit and its master are there."""
+        """The counts of the poll's function, with its unit and its master."""
         self.number = number
         """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key

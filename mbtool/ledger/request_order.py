@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from mbtool.ledger.master_tape import TapedPoll, TapedRequest
 
 MAX_TAPES = 256
+"""The last requests of at most this many masters are kept."""
 WINDOW = 2048
+"""Requests wait until there are twice this many; then this many, the earliest ones, are passed on
+in the order of time."""
 _AT_NS = itemgetter(0)
 
 

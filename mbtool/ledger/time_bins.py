@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 MAX_BINS = 256
+"""A row has at most this many bins; beyond it, its bins become wider."""
 MAX_HOURS = 768
-"""One month."""
+"""A row whose bins are an hour wide or wider has at most this many bins: 32 days of hours. Beyond
+it, its bins become wider."""
 MAX_CELLS = 1 << 20
+"""All rows together have at most this many bins; beyond it, the most bins of each row are
+halved."""
 _MS = 1_000_000
 _S = 1000 * _MS
 HOUR_NS = 3600 * _S
@@ -31,8 +35,10 @@ _WIDTHS_NS = (
     120 * _S, 600 * _S, 1800 * _S, HOUR_NS, 2 * HOUR_NS, 6 * HOUR_NS, _DAY, 10 * _DAY, 100 * _DAY,
     1000 * _DAY,
 )  # fmt: skip
+"""The widths of bins (ns); each is a multiple of the one before it."""
 _JUDGED_BINS = 64
-"""At most so many bins of a unit are judged: with more, single late answers would decide."""
+"""A unit is judged by at most this many bins. In more, narrower bins, single late answers would
+decide."""
 
 
 class UnitSum(IntEnum):

@@ -67,21 +67,20 @@ READ_BYTES = 4096
 _LEAST_TLS_WAIT_S = 0.001
 LONGEST_WAIT_S = 3600.0
 MAX_UNREAD = 16
-ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
 """The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
 for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
-"""The longest wait in ns for a pause of another master."""
+"""A request that waits for a pause of another master fails after this time (ns)."""
 _LONGEST_LATER_TURN_NS = 180_000_000_000
-"""The same once a request was sent in a pause. Then there are long pauses, and a short one that was
-heard since, such as that before a request out of turn, is soon forgotten."""
+"""As LONGEST_TURN_NS, once a request was sent in a pause: then long pauses come, but a short one,
+such as before a request that the other master sent out of turn, may hide them for a while."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
 MOST_TIMES = 3
-"""A busy machine makes the wait for a response at most so many times as long."""
+"""On a busy machine, the wait for a response takes at most this many times as long as it should."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -267,7 +266,7 @@ class MasterLink(ABC):
 
 def open_master(
     link: LinkSpec,
-    timeout_ns: int = ASK_TIMEOUT_NS,
+    timeout_ns: int,
     on_remark: Callable[[str], None] = lambda _: None,
     tls: TargetTls | None = None,
 ) -> MasterLink:
@@ -349,10 +348,10 @@ class TcpMaster(MasterLink):
             self.socket.sendall(adu)
         except OSError as error:
             if self._link.is_udp:
-                self._tell_failed(error)
+                self._report_failed(error)
             else:
                 self.ended = ConnectionEnding.RESET
-            self._lose()
+            self._drop_connection()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
@@ -366,7 +365,7 @@ class TcpMaster(MasterLink):
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
-            self._tell_failed(error)
+            self._report_failed(error)
             if self._link.is_udp:
                 return ()
             data, arrived_ns = b"", 0
@@ -377,7 +376,7 @@ class TcpMaster(MasterLink):
                 return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
-            self._lose()
+            self._drop_connection()
             return ()
         rest = self._splitter.restart() if self._link.is_udp else []
         return [
@@ -386,7 +385,7 @@ class TcpMaster(MasterLink):
             if (response := self._matched(event)) is not None
         ]
 
-    def _tell_failed(self, error: OSError) -> None:
+    def _report_failed(self, error: OSError) -> None:
         why = failure(error, "slave")
         if self._link.is_udp and isinstance(error, ConnectionRefusedError):
             if not self._is_refused:
@@ -413,7 +412,7 @@ class TcpMaster(MasterLink):
         """End the connection as the master, with a FIN or a RST. Pending requests are lost."""
         if self.socket is not None and ending is ConnectionEnding.RESET:
             reset_on_close(self.socket)
-        self._lose()
+        self._drop_connection()
 
     def close(self) -> None:
         if self.socket is not None:
@@ -432,7 +431,7 @@ class TcpMaster(MasterLink):
             del self._pending[event.transaction_id or 0]
         return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
 
-    def _lose(self) -> None:
+    def _drop_connection(self) -> None:
         self.close()
         self._lost.extend(number for number, _ in self._pending.values())
         self._pending.clear()
@@ -522,14 +521,14 @@ class SerialMaster(MasterLink):
         )
         self._arrivals = SerialArrivals(link.format.character_ns)
         self._doubt_ns = 0
-        """The error of the time of the last read, in ns: its bytes may have come so much later."""
+        """The error of the time of the last read (ns): its bytes may have come this much later."""
         self._pending: tuple[int, int] | None = None
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
         """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
-        """The number of requests that were sent in its pauses."""
+        """The number of requests that were sent in pauses of the other master."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
@@ -639,7 +638,9 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
+        while (
+            rest_ns := self._other.silence_left_ns(now_ns := time.monotonic_ns(), unit)
+        ) < needed_ns:
             if now_ns > until_ns or self.is_stopped():
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
@@ -681,7 +682,7 @@ class SerialMaster(MasterLink):
         The wait is the timeout, or twice the longest latency heard of the unit if only this fits
         into a pause.
         """
-        rest_ns = self._on_line_ns(unit, pdu) + MARGIN_NS
+        rest_ns = self._transfer_ns(unit, pdu) + MARGIN_NS
         wait_ns = self.limits.timeout_ns
         known_ns = other.latency_ns(unit)
         if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
@@ -709,7 +710,7 @@ class SerialMaster(MasterLink):
         elif len(event.raw) >= FEW_BYTES:
             self._other.note_intrusion(event.ts_ns, self._doubt_ns)
 
-    def _on_line_ns(self, unit: int, pdu: bytes) -> int:
+    def _transfer_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with
         the silences around them.
         """
@@ -732,7 +733,8 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # If this process had to wait for a processor, bytes may have come after the wait was over.
+        # If other processes held the processor, the wait took longer than `wait_ns`, and the bytes
+        # may have come at any time from `at_ns` to `now_ns`.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

@@ -318,7 +318,7 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
     if wrong is not None:
         # The colon is character 1 of the frame, so the first digit is character 2.
         return (
-            f"a frame with {_shown(wrong[0][0])} as its character {wrong.start() + 2}, "
+            f"a frame with {_character_text(wrong[0][0])} as its character {wrong.start() + 2}, "
             "where a hexadecimal digit would be right"
         )
     if len(digits) % 2:
@@ -350,6 +350,6 @@ def _has_parity(raw: bytes) -> bool:
     return len(set(raw.translate(_ODD_ONES))) == 1 or min(raw) >= 0x80
 
 
-def _shown(character: int) -> str:
+def _character_text(character: int) -> str:
     printed = f"'{chr(character)}' ({character:02X}H)"
     return printed if 0x20 < character < 0x7F else f"{character:02X}H"

@@ -50,7 +50,7 @@ class DamagedAnswer:
     """True if only the checksum of the response is wrong; False if the response is incomplete."""
     latency_ns: int
 
-    def again(self, transport: Transport, delay_ns: int) -> Response | None:
+    def with_same_damage(self, transport: Transport, delay_ns: int) -> Response | None:
         """Return a response with the same damage, to be sent `delay_ns` after the request on a link
         with this transport.
 

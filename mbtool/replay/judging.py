@@ -454,7 +454,7 @@ def _outcome(pdu: bytes | None, function: int) -> str:
         return f"answer to function {pdu[0] & ~EXCEPTION_BIT:02X}"
     if pdu[0] & EXCEPTION_BIT:
         if len(pdu) != 2:
-            return f"malformed exception {_shown(pdu)}"
+            return f"malformed exception {_hex_text(pdu)}"
         return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"
     problem = parse_pdu(pdu, Direction.RESPONSE).problem
     return _OK if problem is None else f"malformed: {problem}"
@@ -472,10 +472,10 @@ def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
     """
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:
-        return _shown(pdu), _shown(other)
-    return f"byte {first}: {_shown(pdu[first:])}", f"byte {first}: {_shown(other[first:])}"
+        return _hex_text(pdu), _hex_text(other)
+    return f"byte {first}: {_hex_text(pdu[first:])}", f"byte {first}: {_hex_text(other[first:])}"
 
 
-def _shown(pdu: bytes) -> str:
+def _hex_text(pdu: bytes) -> str:
     text = pdu[:SHOWN_BYTES].hex(" ")
     return text if len(pdu) <= SHOWN_BYTES else f"{text} ... ({len(pdu)} bytes)"

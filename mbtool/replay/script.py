@@ -92,7 +92,7 @@ class ConnectionStep:
     """The recorded time in ns since its cause: for OPEN, since the last refusal or end by the slave
     (0 if there was none); for AWAIT_END, since the last request or the beginning."""
     open_before: tuple[int, ...] = ()
-    """As for Step."""
+    """The numbers of the earlier steps whose responses came only after this; as in Step."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,8 @@ MAX_LATENCIES = 1 << 15
 MAX_REQUESTS = 1 << 16
 MAX_REGISTERS = 1 << 18
 MAX_SLAVES = 1 << 16
-"""A slave that is asked for two registers takes 2 KB: the most slaves together 125 MB."""
+"""At most this many slaves are kept; further ones are left out. A slave that is asked for two
+registers takes 2 KB, so all together 125 MB."""
 
 NO_ANSWER = "no answer"
 

@@ -1,7 +1,8 @@
 """Finds the whole, damaged and incomplete RTU frames that may begin at each undecided byte."""
 
-# A window is the bytes that one search explains. Each candidate has a cost in bits (costs.py).
-# There are four kinds:
+# A window is the bytes that one search explains: each byte is part of a frame, or is skipped. Each
+# candidate (a frame that the bytes at one offset may be) has a cost in bits (costs.py): the less
+# probable it is, the higher. There are four kinds:
 #
 #     frames of a known form     The function tells the length, and the CRC is correct.
 #     frames of unknown form     Only a correct CRC or a silence tells where the frame ends.
@@ -131,7 +132,8 @@ class DamagedCandidate(msgspec.Struct, gc=False):
 
 
 AHEAD = 12
-"""So many offsets are looked at together, as most are asked about one after the other."""
+"""The frames at this many offsets are looked for in one call, as most offsets are asked about one
+after the other."""
 
 
 class _RangeCount:

@@ -30,7 +30,7 @@ from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
-from mbtool.serial_line.costs import is_odd_request, is_odd_response, is_padded
+from mbtool.serial_line.costs import is_implausible_request, is_implausible_response, is_padded
 from mbtool.serial_line.line_history import ENOUGH_PAUSES
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -76,7 +76,7 @@ def _request_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, at_ns: int
 ) -> CostParts:
     cost = costs.REQUEST
-    if is_odd_request(pdu):
+    if is_implausible_request(pdu):
         cost += costs.IMPLAUSIBLE_REQUEST
     pending, overdue = state.pending_at(at_ns), state.overdue
     is_retry = pending is not None and pending.is_same(unit, pdu)
@@ -200,7 +200,7 @@ def _response_cost(
         return costs.UNREQUESTED_RESPONSE + costs.MALFORMED, 0.0
     if state.pending is not None and state.pending.fits(unit, pdu):
         return _fitting_response_cost(history, state, state.pending, pdu, at_ns)
-    odd = costs.MALFORMED if is_odd_response(pdu) else 0.0
+    odd = costs.MALFORMED if is_implausible_response(pdu) else 0.0
     if history.hears_only_slaves:
         return costs.RESPONSE + odd, 0.0
     pending, overdue = state.pending_at(at_ns), state.overdue
@@ -345,7 +345,7 @@ def _is_only_a_response(
         return _is_malformed_response(pending, unit, pdu)
     if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
         return False
-    if is_odd_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+    if is_implausible_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
         return True
     if (unit, pdu) in history.requests or pending.expected.size != len(pdu):
         return False

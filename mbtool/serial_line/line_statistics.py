@@ -173,8 +173,8 @@ class LatencyStatistics:
     __slots__ = ("_heard", "_longest_ns")
 
     INITIAL_NS = 200_000_000
-    """The longest response time, in ns, that is assumed before the first response. Slow devices
-    take so long."""
+    """The longest response time, in ns, that is assumed before the first response. It is
+    that of slow devices."""
     MIN_NS = 10_000_000
     """The longest response time is never taken to be less than this, in ns, since adapters deliver
     bytes in blocks."""

@@ -69,7 +69,7 @@ PROBED = 64 * 1024
 """A text up to this size, in bytes, is searched for frames when it is opened."""
 
 MAX_ZEROS = 1 << 18
-"""Of a text that begins with zeros, at most so many are skipped."""
+"""At most this many zero bytes are skipped at the beginning of a text."""
 
 _HEAD = 256
 _LEAST_ZEROS = 8

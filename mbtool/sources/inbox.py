@@ -164,12 +164,12 @@ class Inbox:
         """
         with self._changed:
             if isinstance(item, Ended):
-                self._tell_losses()
+                self._append_losses()
             elif not self._has_room(item):
-                self._lose(item)
+                self._note_loss(item)
                 return False
             elif isinstance(item, StreamClosed):
-                self._tell_gaps(item.connection)
+                self._append_gaps(item.connection)
             self._append(item)
             self._changed.notify()
             return True
@@ -206,7 +206,7 @@ class Inbox:
             item = self._items.popleft()
             self._held -= _cost(item)
             if self._losses and self._held <= self._limit // 2:
-                self._tell_losses()
+                self._append_losses()
             return item
 
     def take(self, timeout: float, most: int) -> list[Item]:
@@ -222,7 +222,7 @@ class Inbox:
             items = [self._items.popleft() for _ in range(count)]
             self._held -= sum(map(_cost, items))
             if self._losses and self._held <= self._limit // 2:
-                self._tell_losses()
+                self._append_losses()
             return items
 
     def _let_sources_go_first(self) -> None:
@@ -244,7 +244,7 @@ class Inbox:
         self._items.append(item)
         self._held += _cost(item)
 
-    def _lose(self, item: Item) -> None:
+    def _note_loss(self, item: Item) -> None:
         if isinstance(item, Quiet | Ended):
             return
         loss = self._losses.setdefault(_link(item), _Loss())
@@ -262,12 +262,12 @@ class Inbox:
         elif isinstance(item, StreamClosed):
             loss.take_gaps(item.connection)
 
-    def _tell_gaps(self, connection: Connection) -> None:
+    def _append_gaps(self, connection: Connection) -> None:
         loss = self._losses.get(connection.link)
         for gap in () if loss is None else loss.take_gaps(connection):
             self._append(gap)
 
-    def _tell_losses(self) -> None:
+    def _append_losses(self) -> None:
         where = "are in the log, but not shown" if self._is_recorded else "were not recorded"
         for link, loss in self._losses.items():
             self._append(

@@ -119,16 +119,16 @@ class SerialSource(LiveSource[SerialLink]):
                 self._first_record.set()
             case RecordKind.LOST:
                 text = f"decoding fell behind: {record.lost} bytes were not recorded"
-                self._tell(record, EventKind.DISCARDED, text, record.lost)
+                self._put_event(record, EventKind.DISCARDED, text, record.lost)
             case RecordKind.DAMAGE:
-                self._tell(record, EventKind.LINE_ERROR, record.data.decode())
+                self._put_event(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
                 # The driver reports a loss up to a second later. So the event is not a GAP: the
                 # decoder would end the frame that is arriving now at a GAP.
-                self._tell(record, EventKind.LINE_ERROR, text, record.lost)
+                self._put_event(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.STOPPED:
-                self._tell(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")
+                self._put_event(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))
 
@@ -136,7 +136,9 @@ class SerialSource(LiveSource[SerialLink]):
         ts_ns = record.ts_ns // STEP_NS * STEP_NS
         self._inbox.put(Chunk(ts_ns=ts_ns, link=self.link, data=record.data, direction=speaker))
 
-    def _tell(self, record: SerialRecord, kind: EventKind, text: str, missing: int = 0) -> None:
+    def _put_event(
+        self, record: SerialRecord, kind: EventKind, text: str, missing: int = 0
+    ) -> None:
         self._inbox.put(
             WireEvent(ts_ns=record.ts_ns, link=self.link, kind=kind, message=text, missing=missing)
         )

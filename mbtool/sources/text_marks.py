@@ -239,7 +239,8 @@ _WEAK = re.compile(
     rb"(?i)(?<![a-z])(?:(?P<sent>writ(?:e|es|ing|ten)|wrote|master|output|out)"
     rb"|(?P<received>read(?:ing)?|slave|input|in|got))(?![a-z])"
 )
-"""Words that stand in other meanings, too: they count if there is no other."""
+"""Words that also have other meanings: such a word is taken for a mark only if the text has none of
+_STRONG."""
 
 
 class Mark(NamedTuple):

@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
+"""Cases are kept for at most this many units; further ones are ignored."""
 SLOW_NS = 10_000_000
-"""Answers that took less than this (ns) are not kept."""
+"""Answers that took less than this (ns) are not kept as cases."""
 SLOWEST = 20
+"""The number of slowest answers that are kept of each poll."""
 _OUTCOMES = {
     "UNIT-SILENT": Outcome.NO_ANSWER,
     "UNIT-BAD-CRC": Outcome.NO_ANSWER,
@@ -73,7 +75,7 @@ class Cases(Sense):
         if latency_ns is not None and latency_ns >= SLOW_NS and one.request_ns is not None:
             heap = self._heap(one)
             if _has_place(heap, latency_ns, one.request_ns):
-                self._put(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
+                self._keep_slow(heap, latency_ns, Evidence.of(one, _took(latency_ns)))
         if one.outcome in _FAILED:
             cases = self._cases_of(one)
             if cases is not None:
@@ -107,7 +109,7 @@ class Cases(Sense):
         for place, latency_ns in run.slow(SLOW_NS, SLOWEST):
             heap = self._heap(run.like(place))
             if _has_place(heap, latency_ns, run.request_ns[place]):
-                self._put(heap, latency_ns, _evidence(run, place, _took(latency_ns)))
+                self._keep_slow(heap, latency_ns, _evidence(run, place, _took(latency_ns)))
 
     def event(self, event: WireEvent) -> None:
         if event.kind is EventKind.OPENED and event.message == CONNECTION_OPENED:
@@ -137,7 +139,7 @@ class Cases(Sense):
                 self._slow[key] = heap
         return heap
 
-    def _put(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
+    def _keep_slow(self, heap: list[_SlowAnswer], latency_ns: int, evidence: Evidence) -> None:
         self._number += 1
         case = _SlowAnswer(latency_ns, -evidence.ts_ns, self._number, evidence)
         if len(heap) < SLOWEST:
@@ -157,7 +159,7 @@ class Cases(Sense):
             for one in self._slow.get(poll.key, ())
             if one.latency_ns >= least_ns and one.evidence.ts_ns >= since_ns
         ]
-        return _first(found)
+        return _earliest_cases(found)
 
     def with_evidence(self, troubles: Iterable[Trouble]) -> Iterator[Trouble]:
         """Yield the troubles; those that only figures show get their cases as evidence."""
@@ -179,7 +181,7 @@ class Cases(Sense):
                     for (link, host), case in self._opened.items()
                     if link == one.link and (one.master == host or one.master == "masters")
                 )
-            yield one if found is one.evidence else replace(one, evidence=_first(found))
+            yield one if found is one.evidence else replace(one, evidence=_earliest_cases(found))
 
 
 def _evidence(run: QuietRun, place: int, text: str = "") -> Evidence:
@@ -188,7 +190,7 @@ def _evidence(run: QuietRun, place: int, text: str = "") -> Evidence:
     return Evidence(ts_ns=at_ns, text=text, file=file, packets=run.packets(place))
 
 
-def _first(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
+def _earliest_cases(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:
     return tuple(sorted(cases, key=lambda one: one.ts_ns)[:MAX_EVIDENCE])
 
 

@@ -35,11 +35,19 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 MAX_HOSTS = 4096
+"""Addresses are kept for at most this many hosts; further hosts are ignored."""
 MAX_MACS = 4
+"""At most this many MAC addresses are kept for each host."""
 ENOUGH = 3
+"""A MAC address of a host counts for NET-TWO-MACS only if it was seen in at least this many
+transactions."""
 LATER_NS = 30_000_000_000
+"""NET-ROLE is reported if a host sent its first request at least this long (ns) after its first
+answer."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 _SHARED = ("00:00:5e:00:01:", "00:00:5e:00:02:", "00:00:0c:07:ac:", "00:00:0c:9f:f")
+"""The beginnings of the MAC addresses that routers share (VRRP, HSRP); they prove no second
+host."""
 _IN_A_NETWORK = re.compile(r"(\d+\.\d+\.\d+)\.\d+")
 
 
@@ -57,9 +65,9 @@ class _SeenHost:
     """True if it talked with a host of its own network."""
     link: str = ""
     slave_ns: int | None = None
-    """When it first answered as a slave."""
+    """The time (UTC ns) of its first answer as a slave."""
     master_ns: int | None = None
-    """When it first sent a request."""
+    """The time (UTC ns) of its first request."""
     requests: int = 0
     asked: str = ""
     """The slave that it asked first."""

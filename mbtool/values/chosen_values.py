@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
 
 MAX_CHOSEN = 64
+"""The most series that are kept."""
 MAX_SAMPLES = 20_000
+"""The most samples of a series; beyond it, some are dropped."""
 
 
 class NamedAddresses(NamedTuple):

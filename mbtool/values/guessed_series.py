@@ -157,10 +157,10 @@ def _series_of(
         return None
     for ts_ns, number in zip(history.times_ns, numbers, strict=True):
         if math.isfinite(number):
-            made.add(ts_ns, _shown(number, judged.reading.type))
+            made.add(ts_ns, _rounded_number(number, judged.reading.type))
     return SeriesKey(first.link, first.unit, name), made
 
 
-def _shown(number: float, type_: PointType) -> float:
+def _rounded_number(number: float, type_: PointType) -> float:
     """The number without digits that a 32-bit float does not have."""
     return float(f"{number:.7g}") if type_ is PointType.FLOAT32 else number

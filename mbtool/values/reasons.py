@@ -17,12 +17,17 @@ if TYPE_CHECKING:
     from mbtool.values.word_readings import WordReading
 
 _MAX_LISTED = 6
+"""A reason lists the values of a series if they are at most this many different ones."""
 _MOST_STATES = 12
+"""A series is called a state only if it has at most this many different numbers."""
 _FEWEST_CHANGES = 3
+"""A series with fewer changes than this is called a measurement."""
 _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
 """Numbers in a register that often mean "no value"."""
 _SECOND_NS = 1_000_000_000
 _CLOCK_ERROR_S = 5
+"""A series is the seconds since 1970 only if its distance from the recording's time varies by less
+than this (s)."""
 _DAY_S = 86_400
 _NAMES = {2: "two", 4: "four"}
 

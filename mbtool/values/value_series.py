@@ -39,7 +39,9 @@ def histories_of(seen: ObservedSlave) -> list[WordHistory]:
 
 
 MAX_CHANGES = 1600
+"""The most samples that a series keeps; beyond it, they are thinned out."""
 MAX_TEXTS = 32
+"""The most different texts (such as `on`) that a series keeps."""
 
 
 class SeriesSample(msgspec.Struct, frozen=True, gc=False):

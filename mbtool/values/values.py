@@ -29,10 +29,14 @@ if TYPE_CHECKING:
     from mbtool.modbus.tables import Table
 
 MAX_SERIES = 256
+"""The most series of values; further points and registers are only counted as left out."""
 MAX_OF_POLL = 64
+"""The most registers of one poll that get a series."""
 MAX_POLLS = 2048
+"""The values of at most this many polls are followed."""
 MAX_LEFT_OUT = 65_536
-"""The names of so many points and registers take 13 MB."""
+"""The names of at most this many points and registers without a series are kept (13 MB), to count
+each once. The count stops at this number."""
 
 
 class SeriesKey(NamedTuple):

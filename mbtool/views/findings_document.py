@@ -255,10 +255,10 @@ def _uri(file: str) -> str:
 
 
 def _json(value: Any) -> str:
-    return printable_json(msgspec.json.encode(_clean(value)).decode())
+    return printable_json(msgspec.json.encode(_without_surrogates(value)).decode())
 
 
-def _clean(value: Any) -> Any:
+def _without_surrogates(value: Any) -> Any:
     """Replace lone surrogates, which UTF-8 cannot encode, in all strings of JSON data.
 
     A file name that is not valid UTF-8 contains such surrogates.
@@ -266,5 +266,5 @@ def _clean(value: Any) -> Any:
     if isinstance(value, str):
         return value.encode(errors="replace").decode()
     if isinstance(value, dict):
-        return {key: _clean(one) for key, one in value.items()}
-    return [_clean(one) for one in value] if isinstance(value, list) else value
+        return {key: _without_surrogates(one) for key, one in value.items()}
+    return [_without_surrogates(one) for one in value] if isinstance(value, list) else value

@@ -231,7 +231,7 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
             yield f"fits {fit.profile}, by {fit.why}"
         else:
             alone = "by its traffic alone its " if row.device else ""
-            yield f"{alone}profile is not known: {fit.why}{_nearest(fit)}"
+            yield f"{alone}profile is not known: {fit.why}{_nearest_text(fit)}"
     yield from _use_lines(row.uses, most)
     if row.exceptions:
         texts = (
@@ -241,7 +241,7 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
         yield f"exceptions: {', '.join(texts)}"
 
 
-def _nearest(fit: ProfileFit) -> str:
+def _nearest_text(fit: ProfileFit) -> str:
     """Return which profile is the most alike, unless the reason why none fits names it."""
     if fit.nearest is None or fit.why_names_nearest:
         return ""

@@ -33,7 +33,7 @@ def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
     for port in ports:
         table.add_row(
             plain(port.name),
-            plain(_what(port)),
+            plain(_port_text(port)),
             plain(port.driver or _UNKNOWN),
             plain(_timing(port)),
             plain(_low_latency(port)),
@@ -83,7 +83,7 @@ def _print_whole(console: Console, line: str, style: str = "") -> None:
     console.print(plain(line, style), soft_wrap=True)
 
 
-def _what(port: LocalSerialPort) -> str:
+def _port_text(port: LocalSerialPort) -> str:
     usb = f"({port.usb_id})" if port.usb_id else ""
     return f"{port.description} {usb}".strip() or _UNKNOWN
 

@@ -33,7 +33,7 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
     links = judgement.links
     total = merged([link.tally for link in links])
     if not total.transactions:
-        return [StyledLine("no transactions so far", "bold"), *_of_none(judgement)]
+        return [StyledLine("no transactions so far", "bold"), *_lines_without_requests(judgement)]
     lines = [StyledLine(_sum(links, total), "bold"), *trouble_lines(judgement)]
     if not all(link.has_times for link in links):
         text = "no times: the bytes of the file have none, so there are no rates and periods"
@@ -54,7 +54,7 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
     return lines
 
 
-def _of_none(judgement: Judgement) -> list[StyledLine]:
+def _lines_without_requests(judgement: Judgement) -> list[StyledLine]:
     return trouble_lines(judgement) if judgement.troubles else []
 
 
@@ -72,10 +72,10 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
             ((_, unit), device) = next(iter(units.items()))
             of = f"unit {unit} {device or ''}".rstrip()
         where = f"{one.transport} {one.name}{settings}, {of}"
-    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered(total)}"
+    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered_text(total)}"
 
 
-def _answered(total: RequestTally) -> str:
+def _answered_text(total: RequestTally) -> str:
     """Return the share of requests that were answered as text, such as `98 % answered`.
 
     Broadcasts, and requests whose outcome the capture does not show, are not counted.

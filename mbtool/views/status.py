@@ -44,8 +44,8 @@ def _counters(
     heartbeat: Mapping[str, str], numbers: Mapping[str, int], now_ns: int
 ) -> list[tuple[str, str]]:
     began_ns, at_ns = numbers.get("began_ns", 0), numbers.get("ts_ns", 0)
-    transactions = _named(numbers, "transactions.")
-    events = _named(numbers, "events.")
+    transactions = _counters_text(numbers, "transactions.")
+    events = _counters_text(numbers, "events.")
     waiting = numbers.get("waiting", 0)
     lost = [
         counted(numbers.get("lost_bytes", 0), "byte", ","),
@@ -65,7 +65,7 @@ def _counters(
     ]
 
 
-def _named(numbers: Mapping[str, int], prefix: str) -> str:
+def _counters_text(numbers: Mapping[str, int], prefix: str) -> str:
     """List the counters whose names begin with `prefix`, and leave the prefix out of the names.
 
     For `transactions.` this gives `1,200 ok, 3 no-answer`.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 WATCH_LINES = 3
 _NARROWEST = 20
 MOST = 5
-"""A text shows at most so many troubles, the worst ones, and says how many more there are."""
+"""A text shows at most this many troubles, the worst ones, and says how many more there are."""
 STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
 _LEVELS = {"well": "green", "doubt": "yellow", "bad": "red"}
 

@@ -70,7 +70,7 @@ class WatchColumn:
     than LEAST_REST characters, even if it has a greater `least_share`."""
     is_right: bool = False
     fit: Callable[[Any, DrawContext, int], Spans] | None = None
-    """Makes the cell where it has so many characters; None if the cell is just cut."""
+    """Makes the cell for a width in characters; None if a cell that is too long is just cut."""
     least: int = 0
     """If more than 0, the column is measured: its width is that of its widest cell, from this to
     `width` characters. One of width 0 needs no more than its widest cell then, and at least this.

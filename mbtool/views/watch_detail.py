@@ -200,13 +200,13 @@ def _adu_lines(
         if name == "end":
             text = text.replace("\r", "CR").replace("\n", "LF")
         spans += [(f"{printable(text)} ", style)]
-        names += [(f"{_named(name, part, is_ascii=is_ascii)} ", style)]
+        names += [(f"{_field_text(name, part, is_ascii=is_ascii)} ", style)]
     indent = len(title) + 1
     lines = _flowed([(f"{title} ", "bold"), *spans], width, indent)
     return lines + _flowed([(" " * indent, ""), *names], width, indent, is_whole=True)
 
 
-def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
+def _field_text(name: str, part: bytes, *, is_ascii: bool) -> str:
     """Return a field's name and its number, such as `address 107`; data and CRC have no number.
 
     `part` has the field's bytes as captured; with `is_ascii`, two hexadecimal digits a byte.
@@ -229,7 +229,7 @@ def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) ->
     lines: list[Spans] = [[]]
     used = 0
     for text, style in spans:
-        for word in [text] if is_whole else _words(text):
+        for word in [text] if is_whole else _words_with_spaces(text):
             if used + len(word.rstrip()) > width and used > indent:
                 lines.append([(" " * indent, "")])
                 used = indent
@@ -238,7 +238,7 @@ def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) ->
     return lines
 
 
-def _words(text: str) -> list[str]:
+def _words_with_spaces(text: str) -> list[str]:
     """Return the words of a text, each with the spaces behind it."""
     if not text.strip():
         return [text]

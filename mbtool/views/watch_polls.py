@@ -74,7 +74,7 @@ def _separated(spans: Spans) -> Spans:
 def _values(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
     form = context.format_of(row.key)
     if one.points and form is ValueFormat.NAMED:
-        return _named(row, one, context)
+        return _point_spans(row, one, context)
     if not row.values:
         return []
     function = FUNCTIONS.get(row.poll.function)
@@ -91,7 +91,7 @@ def _values(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
     return spans
 
 
-def _named(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
+def _point_spans(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
     """Return the texts of the points (named values) in the last transaction `one` of a poll.
 
     Points that changed in the last seconds come first, the newest at the front, highlighted.

@@ -102,23 +102,23 @@ def _latency(row: RecordRow) -> int | None:
     return None if isinstance(record, WireEvent) else record.latency_ns
 
 
-def _mark(row: RecordRow, context: DrawContext) -> Spans:
+def _mark_cell(row: RecordRow, context: DrawContext) -> Spans:
     return [("*" if row.kept.order in context.marked else " ", "bold green")]
 
 
-def _in_ms(row: RecordRow, _: DrawContext) -> str:
+def _latency_cell(row: RecordRow, _: DrawContext) -> str:
     latency_ns = _latency(row)
     return "" if latency_ns is None else in_ms(latency_ns)
 
 
-def _sure(row: RecordRow, _: DrawContext) -> str:
+def _confidence_cell(row: RecordRow, _: DrawContext) -> str:
     record = row.kept.record
     return "" if isinstance(record, WireEvent) else percent(record.confidence)
 
 
 RECORD_COLUMNS = (
     WatchColumn(
-        name="mark", title=" ", width=1, cell=_mark, sort=lambda row: row.kept.order,
+        name="mark", title=" ", width=1, cell=_mark_cell, sort=lambda row: row.kept.order,
     ),
     WatchColumn(
         name="number", title="#", width=6, least=3, is_right=True, rank=1, is_spared=True,
@@ -130,7 +130,7 @@ RECORD_COLUMNS = (
         cell=lambda row, _: clock_time(row.kept.at_ns), sort=lambda row: row.kept.at_ns,
     ),
     WatchColumn(
-        name="ms", title="ms", width=5, is_right=True, cell=_in_ms, rank=2,
+        name="ms", title="ms", width=5, is_right=True, cell=_latency_cell, rank=2,
         sort=lambda row: -1 if _latency(row) is None else _latency(row),
     ),
     _field("link", "link", 15),
@@ -150,7 +150,7 @@ RECORD_COLUMNS = (
     _field("outcome", "outcome", 12),
     _field("direction_by", "by", 8),
     WatchColumn(
-        name="sure", title="sure", width=5, is_usual=False, cell=_sure,
+        name="sure", title="sure", width=5, is_usual=False, cell=_confidence_cell,
         sort=lambda row: getattr(row.kept.record, "confidence", 0),
     ),
     WatchColumn(

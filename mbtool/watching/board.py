@@ -462,7 +462,7 @@ class Board:
                 self.polls.move_to_end(counted.number)
             self._note_poll(poll, kept, record, at_ns, is_damaged=is_damaged)
             if record.retries and self.whole is not self and record.request_ns is not None:
-                self._note_asked_again((record.link, record.unit, record.request_ns), counted)
+                self._note_possible_retry((record.link, record.unit, record.request_ns), counted)
         for code in record.findings:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
@@ -509,7 +509,7 @@ class Board:
         if len(self.retries) > _MAX_RETRIES:
             self.retries.popitem(last=False)
 
-    def _note_asked_again(self, key: RetryKey, poll: PollStatistics) -> None:
+    def _note_possible_retry(self, key: RetryKey, poll: PollStatistics) -> None:
         """Note a request of the poll that may be a retry, or turn out to be."""
         self._asked_again[key] = poll
         if len(self._asked_again) > _MAX_RETRIES:

@@ -118,7 +118,7 @@ class _Copy:
                 if isinstance(item, WireEvent):
                     log.write(self._event(item, packets))
                 else:
-                    log.write(self._moved(item))
+                    log.write(self._anonymous_item(item))
 
     def _replaced(self, one: Shown, packets: AnonymousPackets) -> Shown:
         """Return a packet or the bytes of a link with their content replaced."""
@@ -127,7 +127,7 @@ class _Copy:
             return NumberedPacket(packet, ())
         return one._replace(data=_replaced_bytes(one, packets))
 
-    def _moved(self, item: Packet | Chunk) -> Packet | Chunk:
+    def _anonymous_item(self, item: Packet | Chunk) -> Packet | Chunk:
         """Return a packet or a read at its new time and with the new names of its link and ends."""
         ts_ns = item.ts_ns - self._pseudonyms.shift_ns
         ts_ns = ts_ns if ts_ns >= 0 else item.ts_ns

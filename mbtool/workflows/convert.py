@@ -30,6 +30,7 @@ from mbtool.core import (
     InputError,
     OutputError,
     Packet,
+    SerialFormat,
     UsageError,
     WireEvent,
 )
@@ -56,7 +57,7 @@ from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
 from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.undecoded_logs import heard
+from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ class Conversion:
     def evidence(self) -> Iterator[Shown]:
         """Decode the files, and yield the chosen packets, frames and bytes between frames."""
         self._read_marks()
-        return self._shown()
+        return self._items_to_write()
 
     def events(self) -> Iterator[WireEvent]:
         """Yield the events that tell what ports, taps and interfaces have noticed, in logs and in
@@ -191,7 +192,7 @@ class Conversion:
                 continue
             for path in group.paths:
                 with LogReader.open(path) as log, suppress(InputError):
-                    for item in heard(log):
+                    for item in evidence_and_events(log):
                         if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
                             yield item
 
@@ -232,7 +233,9 @@ class Conversion:
             with place.open("wb") as stream:
                 if suffix == ".pcap":
                     return self._write_pcap(stream, out)
-                shown = heapq.merge(self._shown(), self._errors(), key=lambda one: one.ts_ns)
+                shown = heapq.merge(
+                    self._items_to_write(), self._errors(), key=lambda one: one.ts_ns
+                )
                 return PcapngOutput(stream, self._groups, self._head()).write(shown)
         except OSError as error:
             ends = "; it ends early" if place.exists() else ""
@@ -276,7 +279,7 @@ class Conversion:
                     )
                 heard[link] = end_ns, group
 
-    def _shown(self) -> Iterator[Shown]:
+    def _items_to_write(self) -> Iterator[Shown]:
         """Yield what is written: the chosen packets, frames and bytes between frames of all
         captures, in the order of time.
         """
@@ -337,8 +340,8 @@ class Conversion:
         writer: PcapWriter | None = None
         link_type = 0
         maker = PacketMaker()
-        for one in self._shown():
-            packet = one.packet if isinstance(one, NumberedPacket) else _made(one, maker, out)
+        for one in self._items_to_write():
+            packet = one.packet if isinstance(one, NumberedPacket) else _packet_of(one, maker, out)
             if writer is None:
                 link_type = packet.link_type
                 writer = PcapWriter(stream, link_type)
@@ -387,7 +390,7 @@ class Conversion:
         """Yield the packets and reads, and the transactions and events, in the order for a log: a
         transaction or event comes after the packets or reads from which it was decoded.
         """
-        evidence: Iterator[LogItem] = _reads(self._shown())
+        evidence: Iterator[LogItem] = _reads(self._items_to_write())
         records: Iterator[LogItem] = (one for one in self.records() if self._belongs(one))
         keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
         return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
@@ -485,7 +488,7 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
     yield from open_reads.close()
 
 
-def _made(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
+def _packet_of(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
     """Return a packet with the bytes of a piece. Raises UsageError if they are of a serial line, or
     if an end of their connection has no address.
     """
@@ -567,10 +570,10 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
 
 def _spec(group: InputGroup, link: str) -> str:
     """Make the LINK text, such as `rtu:COM3@9600-8N1`, of a serial line that no log describes.
-    Unknown settings become the standard's, 19200-8E1.
+    Unknown settings become the standard's.
     """
     line = group.line_of(link)
     if line is None:
-        return f"rtu:{link}@19200-8E1"
+        return f"rtu:{link}@{SerialFormat()}"
     port = "".join("_" if each in ",@=:" else each for each in link)
     return f"{'ascii' if line.ascii else 'rtu'}:{port}@{line.format}"

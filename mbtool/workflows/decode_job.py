@@ -28,7 +28,7 @@ from mbtool.cluster.plan import (
     remaining,
     share_of,
 )
-from mbtool.cluster.store import OutputStore, is_address, list_inputs
+from mbtool.cluster.store import OutputStore, is_store_address, list_inputs
 from mbtool.sources.child import start_child
 from mbtool.workflows.decode_run import DONE, FAILED, RECORDS, DecodeTask, FileOutcome, decode_run
 
@@ -94,7 +94,7 @@ class DecodeJob:
                 )
 
     def __post_init__(self) -> None:
-        if not is_address(self.output):
+        if not is_store_address(self.output):
             self.output = abspath(self.output)
 
     def _tasks(self, processes: int) -> list[DecodeTask]:
@@ -182,6 +182,6 @@ def _shared(patterns: Sequence[str]) -> list[str]:
     """
     folders = []
     for pattern in patterns:
-        parts = (pattern if is_address(pattern) else abspath(pattern)).split("/")[:-1]
+        parts = (pattern if is_store_address(pattern) else abspath(pattern)).split("/")[:-1]
         folders.append([*takewhile(lambda part: "*" not in part, parts)])
     return [one[0] for one in takewhile(lambda one: len({*one}) == 1, zip(*folders, strict=False))]

@@ -41,9 +41,9 @@ Key: TypeAlias = tuple[str, str, int | None, str]
 REFRESH_NS = 1_000_000_000
 SHARE = 20
 MAX_RUNNING = 4
-"""At most so many commands run at once; a trouble that comes meanwhile waits."""
+"""At most this many commands run at one time; a trouble that comes meanwhile waits."""
 MAX_ANNOUNCED = 65_536
-"""After so many topics, each topic is announced to Home Assistant again."""
+"""After this many topics, all are forgotten, and each is announced to Home Assistant again."""
 DISCOVERY = "homeassistant"
 """The topic below which Home Assistant looks for devices."""
 _NO_ID = re.compile(r"[^A-Za-z0-9_-]+")

@@ -398,12 +398,12 @@ def junit(report: Report) -> str:
         for one in report.asked
     ]
     cases += [
-        Case(f"unit {each.unit}", f"value of {each.reference}", [_told(each)])
+        Case(f"unit {each.unit}", f"value of {each.reference}", [_difference_text(each)])
         for each in report.differences
         if each.function is None and each.kind is not DifferenceKind.CONNECTION
     ]
     cases += [
-        Case("connections", each.what, [_told(each)])
+        Case("connections", each.what, [_difference_text(each)])
         for each in report.differences
         if each.kind is DifferenceKind.CONNECTION
     ]
@@ -439,7 +439,7 @@ def _counted(request: RequestReport) -> list[str]:
     return [text]
 
 
-def _told(difference: Difference) -> str:
+def _difference_text(difference: Difference) -> str:
     return f"recorded {difference.a.text}, answered {difference.b.text}"
 
 

@@ -126,7 +126,9 @@ class SiteRun:
         recorded = read_recorded(path, options, on_remark, watch, may_repeat_units=not is_whole)
         asked = [one for one in recorded.transactions if one.request_raw is not None]
         origin_ns = None if is_whole else min((one.start_ns for one in asked), default=None)
-        parts = _whole(rules[0]) if is_whole else _divided(path, rules, asked, on_remark)
+        parts = (
+            _undivided_part(rules[0]) if is_whole else _parts_by_rule(path, rules, asked, on_remark)
+        )
         self.players: list[SitePlayer] = []
         for part in parts:
             chosen = recorded.transactions
@@ -160,7 +162,7 @@ class SiteRun:
         """
         return PlayedSite(
             [
-                (one, one.run.on(one.link, allowed=allowed, on_exchange=on_exchange(one)))
+                (one, one.run.create_slave(one.link, allowed=allowed, on_exchange=on_exchange(one)))
                 for one in self.players
             ]
         )
@@ -229,12 +231,12 @@ def _demand_who(on: Sequence[str], rules: Sequence[SiteRule]) -> None:
                 )
 
 
-def _whole(rule: SiteRule) -> list[_SitePart]:
+def _undivided_part(rule: SiteRule) -> list[_SitePart]:
     assert rule.link is not None
     return [_SitePart(rule.link.name, rule.link, None)]
 
 
-def _divided(
+def _parts_by_rule(
     path: str,
     rules: Sequence[SiteRule],
     asked: Iterable[NamedTransaction],

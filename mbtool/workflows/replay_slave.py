@@ -120,7 +120,7 @@ class SlaveRun:
         """The device profiles by unit; units without a profile are missing."""
         return dict(self._profile_of)
 
-    def on(
+    def create_slave(
         self,
         link: LinkSpec,
         *,

@@ -115,7 +115,7 @@ def _play(
     """
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:
-        profile = profile.in_mode(Transport.ASCII)
+        profile = profile.with_limits_of(Transport.ASCII)
     image = RegisterImage.of(profile)
     driven = []
     if station.image_file is not None:

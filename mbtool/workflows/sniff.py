@@ -162,8 +162,8 @@ class Sniffer:
     def __exit__(self, *error: object) -> None:
         is_interrupted = error[:1] == (KeyboardInterrupt,)
         try:
-            for _record in self._rest(lambda: is_interrupted):
-                pass  # The caller does not want the record, but `_rest` has logged it.
+            for _record in self._received_before_end(lambda: is_interrupted):
+                pass  # The caller does not want the record, which has been logged already.
         finally:
             if self._recorder is not None:
                 self._recorder.close()
@@ -181,7 +181,7 @@ class Sniffer:
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
             item = self._undecoded.get(POLL_S)
-            self._tell_clock_step()
+            self._report_clock_step()
             for problem in self._lookup.problems():
                 self._on_remark(f"{problem}; masters are refused until there is one")
             if self._recorder is not None:
@@ -193,13 +193,13 @@ class Sniffer:
                     self._on_remark(str(item.error))
             elif item is not None:
                 yield from self._take(item)
-        yield from self._rest(is_hurried)
+        yield from self._received_before_end(is_hurried)
         for remark in self._missing.remarks:
             self._on_remark(remark)
         if lost is not None and not self._open:
             raise lost
 
-    def _tell_clock_step(self) -> None:
+    def _report_clock_step(self) -> None:
         """Put an event into the inbox if somebody has set the system's clock since the last
         call.
         """
@@ -219,13 +219,13 @@ class Sniffer:
         """Decode an item; return its transactions and events, after passing them to the log."""
         self._missing.note_item(item)
         if isinstance(item, WireEvent):
-            self._tell_event(item)
+            self._report_event(item)
         records = self._logged(self._decoder.feed(item))
         if self._recorder is not None:
             self._recorder.note_decoded(item)
         return records
 
-    def _tell_event(self, event: WireEvent) -> None:
+    def _report_event(self, event: WireEvent) -> None:
         """Tell the user about an event if it says that a source has lost bytes or packets, or that
         its link was lost or is back.
         """
@@ -235,7 +235,7 @@ class Sniffer:
         elif event.kind is EventKind.GAP:
             self._on_remark(event.message)
 
-    def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
+    def _received_before_end(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
         """Close the sources, decode all that they had received, and yield the transactions and
         events.
 
@@ -254,7 +254,7 @@ class Sniffer:
         if not self._is_complete:
             self._is_complete = True
             yield from self._logged(self._decoder.close())
-            self._tell_undecoded(self._recorder.dropped if self._recorder is not None else 0)
+            self._report_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
     def _leave(self, items: Sequence[Item]) -> None:
         """Leave `items` undecoded, for lack of time; the log already has their bytes and packets.
@@ -266,14 +266,14 @@ class Sniffer:
         for item in items:
             left += isinstance(item, Chunk | Packet)
             if isinstance(item, WireEvent):
-                self._tell_event(item)
+                self._report_event(item)
                 if self._recorder is not None:
                     self._recorder.write(item)
         if self._recorder is not None:
             left += self._recorder.dropped
-        self._tell_undecoded(left)
+        self._report_undecoded(left)
 
-    def _tell_undecoded(self, count: int) -> None:
+    def _report_undecoded(self, count: int) -> None:
         if count:
             then = "; reading the log decodes all of it" if self._recorder is not None else ""
             self._on_remark(

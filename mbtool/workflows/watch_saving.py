@@ -179,7 +179,7 @@ def _identity(one: NamedTransaction) -> tuple[object, ...]:
 
 def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
     """Yield the request and the response of a transaction, each as a chunk (one read of a port)."""
-    ends = _ends(one)
+    ends = _connection_of(one)
     for raw, ts_ns, direction in (
         (one.request_raw, one.request_ns, Direction.REQUEST),
         (one.response_raw, one.response_ns, Direction.RESPONSE),
@@ -195,7 +195,7 @@ def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
             )
 
 
-def _ends(one: NamedTransaction) -> Connection | None:
+def _connection_of(one: NamedTransaction) -> Connection | None:
     master, slave = _endpoint(one.source), _endpoint(one.destination)
     return None if master is None or slave is None else Connection(master, slave)
 

@@ -234,7 +234,7 @@ def test_whatever_is_made_of_a_capture_its_reading_is_shown(
             passed.append(record)
             yield record
 
-    for module in ("progress", "decode", "column_output", "decode_job"):
+    for module in ("progress", "decode", "column_output"):
         monkeypatch.setattr(f"mbtool.cli.{module}.with_progress", note)
     monkeypatch.setattr("mbtool.workflows.shared.reading_choice.WORTH_BYTES", 0)
     monkeypatch.setattr("mbtool.cli.column_output.WORTH_PROCESSES", 0)

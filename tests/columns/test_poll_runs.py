@@ -221,6 +221,21 @@ def test_a_run_knows_the_packets_and_sizes_of_each_request() -> None:
     assert found > 20
 
 
+def test_the_values_of_a_poll_leave_out_its_refused_requests() -> None:
+    refused = count = 0
+    with patch.object(quiet_rows, "FEWEST", 3):
+        parts = [one for one in quiet_parts(several_polls()) if isinstance(one, BlockRows)]
+    for part in parts:
+        refused += len(part.run.refused)
+        for index, (_, _, function, _, quantity) in enumerate(part.reads.asked):
+            one = part.reads[index]
+            if function == 3:
+                assert len(one.values.words()) == 2 * quantity * len(one.request_ns)
+                count += len(one.request_ns)
+    assert refused > 5
+    assert count > 5
+
+
 @pytest.mark.parametrize("number", range(20))
 def test_polls_used_together_leave_the_same_entries_as_one_by_one(number: int) -> None:
     rng = random.Random(number)

@@ -273,7 +273,7 @@ class DrawnApp(App[int]):
         if self._is_asked_to_end():
             self.exit(exit_codes.DONE)
             return
-        self._tell_remarks()
+        self._show_remarks()
         if time.perf_counter() >= self._next_draw_s:
             self.draw()
 
@@ -421,7 +421,7 @@ class DrawnApp(App[int]):
         note.set_class(bool(text), "told")
         self._note_stays = bool(style)
 
-    def _tell_remarks(self) -> None:
+    def _show_remarks(self) -> None:
         remarks = self.feed.remarks
         if remarks and self._told_remarks != hash(remarks[-1]):
             self._told_remarks = hash(remarks[-1])

@@ -42,7 +42,8 @@ _FILE_KEYS = (
     (".", "step"),
 )
 _LONG_PLACE = 4
-"""A place is long if it takes more than one in so many characters of the line."""
+"""The text of a place is long if it takes more than this part (one in 4) of the line's
+characters."""
 
 
 class Brevity(Enum):

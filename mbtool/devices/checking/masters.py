@@ -98,7 +98,7 @@ class MasterRules:
         """For each host (IP address) that is not in `_known`: counts its reads of an
         identification."""
 
-    def heard(self, host: str, at_ns: int) -> None:
+    def note_sender(self, host: str, at_ns: int) -> None:
         """Note that a host (an IP address) sent something, or opened a connection, at the time
         `at_ns`.
         """
@@ -110,7 +110,7 @@ class MasterRules:
     def transaction(self, transaction: NamedTransaction, host: str, slave: str) -> None:
         """Count the next request of `host` (an IP address) to `slave` (HOST:PORT)."""
         at_ns = transaction.start_ns
-        self.heard(host, at_ns)
+        self.note_sender(host, at_ns)
         masters = self._slaves[slave]
         master = masters.get(host)
         if master is None:
@@ -145,7 +145,7 @@ class MasterRules:
         """
         for one in run.connections:
             host = host_of(one.source)
-            self.heard(host, one.least_ns if one.opened_ns is None else one.opened_ns)
+            self.note_sender(host, one.least_ns if one.opened_ns is None else one.opened_ns)
             if not one.units:
                 continue
             master = self._slaves[one.destination][host]
@@ -162,7 +162,7 @@ class MasterRules:
 
         So the host is one of the slave's masters since before the capture.
         """
-        self.heard(host, at_ns)
+        self.note_sender(host, at_ns)
         masters = self._slaves[slave]
         if host not in masters:
             self._new_master(masters, host, at_ns, was_there=True)

@@ -51,7 +51,7 @@ PATIENCE_NS = 5_000_000_000
 response that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
-"""If the capture ends less than so many ns after a request, the response may have come after the
+"""If the capture ends less than this (ns) after a request, the response may have come after the
 capture's end."""
 
 USUAL = 0.25
@@ -374,7 +374,7 @@ def _request_bytes(transaction: NamedTransaction) -> bytes:
 # sliding_window.py).
 
 _SHOWN = 16
-"""At most so many bytes of a frame are shown."""
+"""A text shows at most this many bytes of a frame."""
 
 
 class DamagedFrames:
@@ -388,11 +388,11 @@ class DamagedFrames:
         """Take an event of the kind BAD_CHECK."""
         self._answers.note(event)
         if not self._waiting.has_room([event.link]):
-            yield from map(_of_no_unit, self._waiting.pop_oldest())
+            yield from map(_finding_without_unit, self._waiting.pop_oldest())
         waiting = self._waiting[event.link]
         waiting.append(event)
         if len(waiting) > MAX_FRAMES:
-            yield _of_no_unit(waiting.popleft())
+            yield _finding_without_unit(waiting.popleft())
 
     def transaction(self, one: NamedTransaction) -> Iterator[Finding]:
         """Take the next transaction."""
@@ -402,7 +402,7 @@ class DamagedFrames:
         frame_ns = self._answers.frame_of(one)
         past_ns = one.start_ns if one.transport.is_serial else frame_ns or 0
         while waiting and waiting[0].ts_ns < past_ns:
-            yield _of_no_unit(waiting.popleft())
+            yield _finding_without_unit(waiting.popleft())
         if waiting and waiting[0].ts_ns == frame_ns:
             event = waiting.popleft()
             text = f"unit {one.unit}'s answer to {request_text(one)}: {_text(event)}"
@@ -413,10 +413,10 @@ class DamagedFrames:
     def close(self) -> Iterator[Finding]:
         """Give the findings about frames that still wait at the end of the capture."""
         for waiting in self._waiting.values():
-            yield from map(_of_no_unit, waiting)
+            yield from map(_finding_without_unit, waiting)
 
 
-def _of_no_unit(event: WireEvent) -> Finding:
+def _finding_without_unit(event: WireEvent) -> Finding:
     return event_finding("RTU-201", event, f"unit unknown: {_text(event)}")
 
 

@@ -61,8 +61,8 @@ MOST_UNITS = 64
 answer. A gateway has fewer; a device that ignores the unit answers for every one."""
 
 IDENTIFIED_NS = 10_000_000_000
-"""A master that identifies its slaves before it polls them begins to poll within this time. A scan
-asks for nothing else."""
+"""A host that only asked for identifications counts as scanning if it sends no other request within
+this time (ns): a master that identifies its slaves first begins to poll sooner."""
 
 _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 """Outcomes of requests that the slave may have answered as asked."""
@@ -105,10 +105,12 @@ class ScanRules:
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._first_time_ns = limits.identification.window_ns
         self._turn_ns = limits.host_scan.window_ns
-        """A host that connects to an address and does not ask it again for so long (ns) does not
-        poll it."""
+        """A host that connects to an address and does not ask it again within this time (ns) does
+        not poll it."""
         self._hosts = Unpolled("SEC-201", _host_case, limits.host_scan, cases)
-        self._units = Unpolled("SEC-202", _as_is, limits.unit_scan, cases, most_ordinary=MOST_UNITS)
+        self._units = Unpolled(
+            "SEC-202", _unchanged_case, limits.unit_scan, cases, most_ordinary=MOST_UNITS
+        )
         self._functions = Unpolled("SEC-203", _function_case, limits.function_scan, cases)
         self._registers = Unpolled("SEC-204", _register_case, limits.register_scan, cases)
         self._end_ns = 0
@@ -126,7 +128,7 @@ class ScanRules:
         `source` is the master's IP address and `slave` the slave's HOST:PORT. On a serial line,
         both are the name of the line. `profile` is the slave's; None if it has none.
         """
-        self._heard(source, transaction.start_ns)
+        self._note_sender(source, transaction.start_ns)
         is_polled = self._units.is_polled((source, slave), transaction.unit)
         is_refused = transaction.exception in _REFUSED_ADDRESS
         is_missing = not is_refused and _is_missing(transaction, profile)
@@ -207,7 +209,7 @@ class ScanRules:
         units: dict[_AskedUnit, list[int]] = {}
         for source, slave, unit, places in run.by_unit:
             if (source, slave, unit) in unpolled:
-                self._heard(host_of(source), run.request_ns[places[0]])
+                self._note_sender(host_of(source), run.request_ns[places[0]])
                 units.setdefault((host_of(source), slave, unit), []).extend(places)
         if self._units.has_room(len(units)) and self._hosts.has_room(len(units)):
             self._note_requests(run, units)
@@ -243,7 +245,7 @@ class ScanRules:
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
         source, host = host_of(event.source), host_of(event.destination)
-        self._heard(source, event.ts_ns)
+        self._note_sender(source, event.ts_ns)
         if event.message.startswith(CONNECTION_JOINED):
             return
         self._hosts.note(
@@ -265,7 +267,7 @@ class ScanRules:
         self._functions.close()
         self._registers.close()
 
-    def _heard(self, source: str, at_ns: int) -> None:
+    def _note_sender(self, source: str, at_ns: int) -> None:
         self._end_ns = max(self._end_ns, at_ns)
         if source not in self._first_heard_ns and len(self._first_heard_ns) < MAX_HOSTS:
             self._first_heard_ns[source] = at_ns
@@ -355,7 +357,7 @@ def _bare(transaction: NamedTransaction) -> NamedTransaction:
     )
 
 
-def _as_is(case: tuple[str, Finding]) -> tuple[str, Finding]:
+def _unchanged_case(case: tuple[str, Finding]) -> tuple[str, Finding]:
     return case
 
 

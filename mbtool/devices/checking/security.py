@@ -78,7 +78,7 @@ class SecurityRules:
             if event.message.startswith(CONNECTION_JOINED):
                 self._masters.joined(host, event.destination, event.ts_ns)
             else:
-                self._masters.heard(host, event.ts_ns)
+                self._masters.note_sender(host, event.ts_ns)
             self._scans.opened(event)
 
     def close(self) -> Iterator[Finding]:

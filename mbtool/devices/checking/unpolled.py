@@ -41,7 +41,7 @@ R = TypeVar("R")
 
 MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
-"""A master polls if it repeats a request without a response so many times. Most masters stop after
+"""A master polls if it sends a request without a response this many times. Most masters stop after
 three retries."""
 
 MAX_PACKETS = 16

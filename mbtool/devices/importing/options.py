@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 # read.
 
 MAX_PROBLEMS = 100
-"""At most so many problems get a line of their own. One more line names the rows of all others."""
+"""At most this many problems get a line of their own. One more line names the rows of all
+others."""
 
 _SHOWN = 40
-"""A message about a problem shows at most so many characters of the cell."""
+"""A message about a problem shows at most this many characters of the cell."""
 
 
 class ImportReport:

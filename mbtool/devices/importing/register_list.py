@@ -159,7 +159,7 @@ def _text(profile: Profile, remarks: Sequence[str]) -> str:
 # - any other text, which is left out
 
 _MAX_SECTION = 80
-"""A heading between the rows has at most so many characters. A longer text is no heading."""
+"""A heading between the rows has at most this many characters. A longer text is no heading."""
 
 _TOO_LONG = "stands behind the last heading; a delimiter within a cell needs quotes around it"
 _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_NAME = 120
-"""A name has at most so many characters; longer names are cut."""
+"""A name has at most this many characters; longer names are cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -133,7 +133,7 @@ class Behaviour:
         """
         return values
 
-    def standing(self, table: Table, span: range) -> list[int]:
+    def present_values(self, table: Table, span: range) -> list[int]:
         """Return the present values of the registers or bits that a write to `span` would replace.
 
         A mask write (16H) needs them, as it changes only some bits of a register.

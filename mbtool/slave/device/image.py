@@ -148,7 +148,7 @@ class Blocks:
                     continue
                 first = point.block
                 held = blocks._blocks.setdefault((table, first), [])
-                held += [0] * (max(_held(point)) + 1 - first - len(held))
+                held += [0] * (max(_addresses_of(point)) + 1 - first - len(held))
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
@@ -177,5 +177,5 @@ class Blocks:
                 self._blocks[table, first] = block
 
 
-def _held(point: Point) -> Iterable[int]:
+def _addresses_of(point: Point) -> Iterable[int]:
     return (at for first in point.addresses for at in range(first, first + point.words))

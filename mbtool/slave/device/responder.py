@@ -109,7 +109,9 @@ class DeviceResponder:
         self._demand_area(access.table, access.writes, writing=True)
         written: tuple[int, ...] = ()
         if access.writes:
-            written = values_after(request, self.behaviour.standing(access.table, access.writes))
+            written = values_after(
+                request, self.behaviour.present_values(access.table, access.writes)
+            )
         refusal = self.behaviour.refusal(function, access, written, now_ns)
         if refusal is not None:
             raise _RefusedError(refusal)

@@ -7,7 +7,7 @@
 #     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)
 #     1029H      a block of nine counters (Counter); writing 55AAH or AA55H clears them
 #     102AH      the number of open connections
-#     1030H      a connection is closed after so many ms without a request; 0 means never
+#     1030H      a connection is closed after this many ms without a request; 0 means never
 #     100BH      writing 1 saves time and mask of the watchdog, which then survive a restart
 #     2040H      writing 55AAH or AA55H restarts: outputs 0, settings as at the start or as saved,
 #                counters 0, watchdog off
@@ -98,7 +98,7 @@ class ProcessImage:
                 values[at - span.start] = sum(bit << place for place, bit in enumerate(held))
         return values
 
-    def standing(self, table: Table, span: range) -> list[int]:
+    def present_values(self, table: Table, span: range) -> list[int]:
         """Return the present values of what a write to the addresses `span` would change.
 
         They are read where the image stores the outputs, which differs from `span`.
@@ -233,7 +233,7 @@ class Watchdog:
     def has_expired(self) -> bool:
         return self._status is Status.EXPIRED
 
-    def heard(self, function: int, now_ns: int) -> bool:
+    def note_request(self, function: int, now_ns: int) -> bool:
         """Note a request: let the watchdog expire if its time has passed, else restart it.
 
         The ordinary watchdog restarts only if the request's function code is in the mask. Returns
@@ -379,7 +379,7 @@ class Wago(Behaviour):
             self._at_first = self.image.get(HOLDING, SETTINGS.start, len(SETTINGS))
         self._count(Counter.MESSAGES)
         had_expired = self._watchdog.has_expired
-        if self._watchdog.heard(pdu[0], now_ns):
+        if self._watchdog.note_request(pdu[0], now_ns):
             self._process.clear_outputs()
             self._connections.notes.append("the alternative watchdog expired: all outputs are 0")
         if self._watchdog.has_expired and not had_expired:
@@ -411,8 +411,8 @@ class Wago(Behaviour):
             values[CONNECTIONS - span.start] = len(self._connections.peers)
         return self._process.read(span, values)
 
-    def standing(self, table: Table, span: range) -> list[int]:
-        return self._process.standing(table, span)
+    def present_values(self, table: Table, span: range) -> list[int]:
+        return self._process.present_values(table, span)
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
         self._process.write(table, span, values)

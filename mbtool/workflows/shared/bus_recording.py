@@ -85,7 +85,7 @@ def read_pieces(
     lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:
-        begun = _of_line(path, options.reading, lines.pop(), link, on_remark)
+        begun = _begun_on_line(path, options.reading, lines.pop(), link, on_remark)
     else:
         begun = _framed(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):
@@ -128,7 +128,7 @@ def _framed(transactions: Iterable[NamedTransaction], *, is_ascii: bool) -> list
     return begun
 
 
-def _of_line(
+def _begun_on_line(
     path: str,
     options: ReadingOptions,
     name: str,

@@ -109,7 +109,9 @@ class FileResults:
         try:
             for number, path in enumerate(self._paths, 1):
                 if path not in self.refused:
-                    yield from self._one(path, read, go_on, is_last=number == len(self._paths))
+                    yield from self._items_of_file(
+                        path, read, go_on, is_last=number == len(self._paths)
+                    )
                 self.files_read += 1
         except InputError:
             yield from end()
@@ -117,7 +119,7 @@ class FileResults:
         yield from end()
         self.raise_first()
 
-    def _one(
+    def _items_of_file(
         self,
         path: str,
         read: Callable[[str], Iterator[T]],

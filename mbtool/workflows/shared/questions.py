@@ -127,7 +127,8 @@ class Wording:
             except UsageError:
                 if self.profile is None:
                     raise
-                named = _named(self.profile, text)  # The name of a point may have dots in it.
+                # The name of a point may have dots in it.
+                named = _target_of_name(self.profile, text)
                 if named is None:
                     raise
                 return named.table, _addresses(named)
@@ -244,7 +245,7 @@ class Wording:
         }
 
 
-def _named(profile: Profile, name: str) -> ValueTarget | None:
+def _target_of_name(profile: Profile, name: str) -> ValueTarget | None:
     try:
         return ValueTargets(profile).find(name)
     except UsageError:

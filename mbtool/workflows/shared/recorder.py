@@ -163,7 +163,7 @@ class Recorder:
         }
         try:
             if self._failure is None and (self._is_behind or self.waiting or self._has_new_drops):
-                self._mark(self._now_ns(), self.waiting)
+                self._write_decoding_mark(self._now_ns(), self.waiting)
         finally:
             if self.waiting or self.dropped:
                 final[UNDECODED_PIECES] = str(self.waiting + self.dropped)
@@ -222,7 +222,7 @@ class Recorder:
             (self._is_behind or self._has_new_drops)
             and not 0 <= now_ns - self._marked_ns < _MARK_NS
         ):
-            self._mark(now_ns, self.waiting if self._is_behind else 0)
+            self._write_decoding_mark(now_ns, self.waiting if self._is_behind else 0)
         self._log.tick(now_ns)
 
     @property
@@ -232,7 +232,7 @@ class Recorder:
         """
         return self.dropped > self._told_dropped
 
-    def _mark(self, now_ns: int, waiting: int) -> None:
+    def _write_decoding_mark(self, now_ns: int, waiting: int) -> None:
         # The records of all chunks and packets decoded so far must stand before the mark in the
         # log.
         self._write_records()

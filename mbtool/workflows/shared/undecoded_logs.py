@@ -67,7 +67,7 @@ class LogRemarks:
     @property
     def are_undecoded(self) -> bool:
         """True if at least one log has undecoded evidence. Then all logs are decoded again."""
-        return bool(self._counts) or any(self._ends.values())
+        return bool(self._counts) or any(self._undecoded_ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
         """Keep remarks for the user about the log with this name, which has been read to
@@ -90,7 +90,7 @@ class LogRemarks:
             return ""
         if self.are_undecoded:
             return "; it is decoded again, for its last moments"
-        return "" if name in self._ends else "; --raw also decodes its last moments"
+        return "" if name in self._undecoded_ends else "; --raw also decodes its last moments"
 
     @property
     def remarks(self) -> list[str]:
@@ -109,7 +109,7 @@ class LogRemarks:
         return {path: count for path, count in counts.items() if count}
 
     @cached_property
-    def _ends(self) -> Mapping[str, bool]:
+    def _undecoded_ends(self) -> Mapping[str, bool]:
         """For each log, by path: True if it was not closed, and its last evidence was not decoded.
 
         Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
@@ -129,7 +129,7 @@ class LogRemarks:
         return [path for path in self._paths if not place_of(path)[1]]
 
 
-def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
+def evidence_and_events(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the packets and chunks of a log, and those events that decoding them again cannot find,
     such as errors of a port. Each event comes at its place in time.
     """
@@ -142,9 +142,9 @@ def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
 def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the items in an order in which each event stands before the later evidence of its link.
 
-    The log has an event only after the decoder has passed it on, so often behind later evidence. An
-    event about lost bytes ends the frame that is being decoded. If it came too late, it would end a
-    later frame.
+    The log has an event only after the decoder has passed it on, and often behind later evidence.
+    An event about lost bytes ends the frame that is being decoded. If it came too late, it would
+    end a later frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:
