@@ -23,17 +23,16 @@ from msgspec import structs
 from mbtool.columns.arrays import Groups
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.plain_transactions import origin_fields
+from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.quiet_run import (
     AlikeRequests,
-    LinkRequests,
-    QuietRequest,
+    QuietRun,
+    RunRows,
     Stay,
     Stays,
-    UnitRequests,
-    asked_number,
 )
 from mbtool.devices.references import write_reference
-from mbtool.modbus.functions import FUNCTIONS, WRITE_ONE, WRITE_SEVERAL
+from mbtool.modbus.functions import FUNCTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_transactions import RowObjects
     from mbtool.columns.usual_values import UsualValues
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.quiet_run import (
         ConnectionCounts,
         PollName,
@@ -53,55 +51,25 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_FORMS = 65_536
-WRITES = [*WRITE_ONE - {0x16}, *WRITE_SEVERAL]
 _Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
 
 
-class PollForms:
-    """Keeps an example of each form of transaction between the blocks of a capture. Their slaves
-    have no profile, and they have no finding.
-    """
-
-    def __init__(self) -> None:
-        self._likes: dict[tuple[_Place, int], NamedTransaction] = {}
-
-    def of(
-        self, rows: PlainRows, usual: UsualValues, objects: RowObjects
-    ) -> tuple[list[NamedTransaction], Int64s]:
-        """Return an example of each form in a block, and for each row (transaction) the index of
-        its form; meaningless for a row that is no usual read or write.
-        """
-        if len(self._likes) > MAX_FORMS:
-            self._likes.clear()
-        places = _places(rows)
-        numbers: dict[_Place, int] = {}
-        place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
-        asked = np.where(usual.is_usual, usual.asked >> 32, -1)
-        groups = Groups(place_of[rows.connection] << 32 | asked + 1)
-        ends, first = rows.connection[groups.first].tolist(), asked[groups.first].tolist()
-        keys = [(places[end], one) for end, one in zip(ends, first, strict=True)]
-        missing = {
-            key: row
-            for key, row in zip(keys, groups.first.tolist(), strict=True)
-            if key not in self._likes
-        }
-        made = objects.chosen(np.array([*missing.values()], np.int64))
-        self._likes.update(zip(missing, made, strict=True))
-        return [self._likes[key] for key in keys], groups.number
+Likes = dict[tuple[_Place, int], NamedTransaction]
+"""An example of each form of transaction. Its slave has no profile, and it has no finding."""
 
 
 class BlockPolls:
     """The polls and forms of a block's rows (transactions), and their fields."""
 
     def __init__(
-        self, rows: PlainRows, usual: UsualValues, objects: RowObjects, forms: PollForms
+        self, rows: PlainRows, usual: UsualValues, objects: RowObjects, likes: Likes
     ) -> None:
         self.rows = rows
         self.usual = usual
         self.objects = objects
-        self._forms = forms
+        self._likes = likes
         known = {one: number for number, one in enumerate(dict.fromkeys(rows.connections))}
         self.known = known
         """The number of each connection: those with the same ends have the same."""
@@ -125,11 +93,6 @@ class BlockPolls:
         """By row, the number of its poll, where equal requests of two masters are two polls."""
 
     @cached_property
-    def writes(self) -> Int64s:
-        """The rows that write."""
-        return np.flatnonzero(np.isin(self.rows.code, WRITES))
-
-    @cached_property
     def names(self) -> list[PollName]:
         """The name of each poll."""
         rows, usual, first = self.rows, self.usual, self._first
@@ -143,33 +106,26 @@ class BlockPolls:
 
     @cached_property
     def forms(self) -> tuple[list[NamedTransaction], Int64s]:
-        return self._forms.of(self.rows, self.usual, self.objects)
-
-    def like(self, row: int) -> NamedTransaction:
-        """Return the transaction of a row with the values and bytes of one of the same form."""
-        rows, usual, number = self.rows, self.usual, self.rows.block.first_number
-        begin_ns, end_ns = rows.request_ns.item(row), rows.response_ns.item(row)
-        likes, form = self.forms
-        address, quantity = usual.address.item(row), usual.quantity.item(row)
-        table = FUNCTIONS[rows.code.item(row)].table
-        assert table is not None
-        return structs.replace(
-            likes[form.item(row)],
-            file=rows.block.file,
-            source=self.ends[self.connection.item(row)][1],
-            transaction_id=rows.transaction_id.item(row),
-            request_ns=begin_ns,
-            response_ns=end_ns,
-            latency_ns=end_ns - begin_ns,
-            request_packet=number + rows.request.item(row),
-            response_packet=number + rows.response.item(row),
-            address=address,
-            quantity=quantity,
-            reference=write_reference(None, table, address, quantity),
-        )
+        """An example of each form in the block, and for each row the index of its form; meaningless
+        for a row that is no usual read or write.
+        """
+        rows, usual, likes = self.rows, self.usual, self._likes
+        if len(likes) > MAX_FORMS:
+            likes.clear()
+        places = _places(rows)
+        numbers: dict[_Place, int] = {}
+        place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
+        asked = np.where(usual.is_usual, usual.asked >> 32, -1)
+        groups = Groups(place_of[rows.connection] << 32 | asked + 1)
+        ends, first = rows.connection[groups.first].tolist(), asked[groups.first].tolist()
+        keys = [(places[end], one) for end, one in zip(ends, first, strict=True)]
+        missing = [place for place, key in enumerate(keys) if key not in likes]
+        made = self.objects.chosen(groups.first[missing])
+        likes.update(zip([keys[place] for place in missing], made, strict=True))
+        return [likes[key] for key in keys], groups.number
 
 
-class BlockRun:
+class BlockRun(QuietRun):
     """Consecutive rows (transactions) of a block as a QuietRun."""
 
     def __init__(
@@ -193,36 +149,17 @@ class BlockRun:
         return self._some.stop - self._begin
 
     @cached_property
-    def request_ns(self) -> list[int]:
-        times: list[int] = self._polls.rows.request_ns[self._some].tolist()
-        return times
-
-    @cached_property
-    def response_ns(self) -> list[int]:
-        times: list[int] = self._polls.rows.response_ns[self._some].tolist()
-        return times
-
-    @cached_property
-    def asked(self) -> list[int]:
-        asked: list[int] = self._polls.asked[self._some].tolist()
-        return asked
-
-    @cached_property
-    def exceptions(self) -> list[int]:
-        codes: list[int] = self._polls.usual.exception[self._some].tolist()
-        return codes
-
-    @property
-    def last_request_ns(self) -> int:
-        return int(self._polls.rows.request_ns[self._some].max())
-
-    @property
-    def last_response_ns(self) -> int:
-        return int(self._polls.rows.response_ns[self._some].max())
-
-    @property
-    def longest_ns(self) -> int:
-        return int(self._latencies.max())
+    def rows(self) -> RunRows:
+        polls, some = self._polls, self._some
+        return RunRows(
+            [polls.ends[one] for one in polls.connection[some].tolist()],
+            polls.asked[some].tolist(),
+            polls.usual.exception[some].tolist(),
+            polls.rows.request_ns[some].tolist(),
+            self._latencies.tolist(),
+            polls.rows.request_size[some].tolist(),
+            polls.rows.response_size[some].tolist(),
+        )
 
     @property
     def _latencies(self) -> Int64s:
@@ -245,70 +182,8 @@ class BlockRun:
         return [found[one] for one in np.argsort(groups.first).tolist()]
 
     @cached_property
-    def form(self) -> list[int]:
-        form: list[int] = _by_first(self._by_form).tolist()
-        return form
-
-    @cached_property
     def _by_form(self) -> Groups:
         return Groups(self._polls.forms[1][self._some])
-
-    @cached_property
-    def sizes(self) -> tuple[list[int], list[int]]:
-        rows = self._polls.rows
-        return rows.request_size[self._some].tolist(), rows.response_size[self._some].tolist()
-
-    @cached_property
-    def links(self) -> list[LinkRequests]:
-        polls, rows, some = self._polls, self._polls.rows, self._some
-        sizes = rows.request_size[some] + rows.response_size[some]
-        groups, found = Groups(polls.unit[some] >> 8), []
-        for start, stop in zip(groups.starts.tolist(), groups.ends.tolist(), strict=True):
-            places = groups.order[start:stop]
-            times = rows.request_ns[some][places]
-            by_time = np.argsort(times, kind="stable")
-            before = np.concatenate([[0], np.cumsum(sizes[places][by_time])])
-            link = polls.ends[polls.connection.item(self._begin + places.item(0))][0]
-            found.append(LinkRequests(link, times[by_time].tolist(), before.tolist()))
-        return found
-
-    @cached_property
-    def units(self) -> list[tuple[str, int]]:
-        polls, groups = self._polls, Groups(self._polls.unit[self._some])
-        last = np.sort(groups.last) + self._begin
-        ends = [polls.ends[one][0] for one in polls.connection[last].tolist()]
-        return [*zip(ends, polls.rows.unit[last].tolist(), strict=True)]
-
-    @cached_property
-    def by_unit(self) -> list[UnitRequests]:
-        polls, some = self._polls, self._some
-        groups = Groups(polls.connection[some] << 8 | polls.rows.unit[some])
-        first = groups.first + self._begin
-        ends = [polls.ends[one] for one in polls.connection[first].tolist()]
-        found = [*map(UnitRequests._make, zip(
-            [source for _, source, _ in ends],
-            [destination for _, _, destination in ends],
-            polls.rows.unit[first].tolist(),
-            _lists(groups, groups.order),
-            strict=True,
-        ))]  # fmt: skip
-        return [found[one] for one in np.argsort(groups.first).tolist()]
-
-    @cached_property
-    def refused(self) -> list[QuietRequest]:
-        return self._requests(np.flatnonzero(self._polls.usual.exception[self._some] >= 0))
-
-    @cached_property
-    def writes(self) -> list[QuietRequest]:
-        writes = self._polls.writes
-        first, last = np.searchsorted(writes, (self._begin, self._some.stop)).tolist()
-        return self._requests(writes[first:last] - self._begin)
-
-    def asks(self, link: str, unit: int, function: int, address: int) -> bool:
-        polls, some = self._polls, self._some
-        asked = asked_number(unit, function, address, 0) >> 16
-        places = np.flatnonzero(polls.asked[some] >> 16 == asked) + self._begin
-        return any(polls.ends[one][0] == link for one in polls.connection[places].tolist())
 
     def stays(self, held: Collection[PollName], limit: int, few: int = 0) -> Stays:
         groups, names = self._by_poll, self._names
@@ -364,10 +239,6 @@ class BlockRun:
             fresh=np.sort(ends[number[ends] >= len(before)]).tolist(),
         )
 
-    def polls(self) -> tuple[list[PollName], list[int]]:
-        order = np.argsort(self._by_poll.first).tolist()
-        return [self._names[one] for one in order], _by_first(self._by_poll).tolist()
-
     @cached_property
     def _by_poll(self) -> Groups:
         return Groups(self._polls.poll[self._some])
@@ -380,11 +251,31 @@ class BlockRun:
 
     def slow(self, least_ns: int, most: int | None = None) -> list[tuple[int, int]]:
         latency = self._latencies
-        places = slowest(latency, least_ns, most, self._polls.poll[self._some])
+        places = _slowest(latency, least_ns, most, self._polls.poll[self._some])
         return [*zip(places.tolist(), latency[places].tolist(), strict=True)]
 
     def like(self, place: int) -> NamedTransaction:
-        return self._polls.like(self._begin + place)
+        polls, row = self._polls, self._begin + place
+        rows, usual, (likes, form) = polls.rows, polls.usual, polls.forms
+        begin_ns, end_ns = rows.request_ns.item(row), rows.response_ns.item(row)
+        asking, answering = self.packets(place)
+        address, quantity = usual.address.item(row), usual.quantity.item(row)
+        table = FUNCTIONS[rows.code.item(row)].table
+        assert table is not None
+        return structs.replace(
+            likes[form.item(row)],
+            file=rows.block.file,
+            source=polls.ends[polls.connection.item(row)][1],
+            transaction_id=rows.transaction_id.item(row),
+            request_ns=begin_ns,
+            response_ns=end_ns,
+            latency_ns=end_ns - begin_ns,
+            request_packet=asking,
+            response_packet=answering,
+            address=address,
+            quantity=quantity,
+            reference=write_reference(None, table, address, quantity),
+        )
 
     def packets(self, place: int) -> tuple[int, int]:
         rows, row = self._polls.rows, self._begin + place
@@ -394,28 +285,8 @@ class BlockRun:
     def transactions(self) -> Iterator[NamedTransaction]:
         return self._polls.objects.some(self._begin, self._some.stop)
 
-    def _requests(self, places: Int64s) -> list[QuietRequest]:
-        """Return the requests at these places."""
-        polls, rows, chosen = self._polls, self._polls.rows, places + self._begin
-        number = rows.block.first_number
-        ends = [polls.ends[one] for one in polls.connection[chosen].tolist()]
-        packets = rows.request[chosen] + number, rows.response[chosen] + number
-        return [*map(QuietRequest._make, zip(  # Faster than calling QuietRequest.
-            [source for _, source, _ in ends],
-            [destination for _, _, destination in ends],
-            rows.unit[chosen].tolist(),
-            rows.code[chosen].tolist(),
-            polls.usual.address[chosen].tolist(),
-            polls.usual.quantity[chosen].tolist(),
-            rows.request_ns[chosen].tolist(),
-            places.tolist(),
-            zip(*(each.tolist() for each in packets), strict=True),
-            polls.usual.exception[chosen].tolist(),
-            strict=True,
-        ))]  # fmt: skip
 
-
-def slowest(latency: Int64s, least_ns: int, most: int | None, group: Numbers) -> Int64s:
+def _slowest(latency: Int64s, least_ns: int, most: int | None, group: Numbers) -> Int64s:
     """Return the indices of the latencies that are at least `least_ns`, sorted. Of those with equal
     numbers in `group`, at most `most`: the longest ones, and among equal ones the first.
     """
@@ -426,15 +297,6 @@ def slowest(latency: Int64s, least_ns: int, most: int | None, group: Numbers) ->
     groups = Groups(group[places])
     rank = np.arange(len(places)) - np.repeat(groups.starts, groups.ends - groups.starts)
     return np.sort(places[groups.order[rank < most]])
-
-
-def _by_first(groups: Groups) -> Int64s:
-    """Return the number of each index's group, where the groups are numbered in the order in which
-    they first appear.
-    """
-    number = np.empty(len(groups.first), np.int64)
-    number[np.argsort(groups.first)] = np.arange(len(number))
-    return number[groups.number]
 
 
 def _lists(groups: Groups, values: Numbers | Bools) -> list[list[int]]:

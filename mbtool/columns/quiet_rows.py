@@ -11,7 +11,7 @@ object of each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -22,12 +22,12 @@ from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
 from mbtool.columns.plain_transactions import PlainObjects
-from mbtool.columns.poll_runs import WRITES, BlockPolls, BlockRun, PollForms, slowest
+from mbtool.columns.poll_runs import BlockPolls, BlockRun, Likes
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
 from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import ConnectionCounts, QuietConnection
-from mbtool.ledger.answered_reads import AnsweredReads, SlowRead, ValueChanges
+from mbtool.ledger.answered_reads import AnsweredReads, ValueChanges
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.tables import ADDRESSES
 
@@ -72,16 +72,14 @@ class BlockValues:
 
 
 class BlockReads:
-    """Answered reads, and writes, of a block by poll, sorted by their first rows. Implements
-    PolledValues.
+    """Answered reads and writes of a block by poll, sorted by their first rows. Implements
+    AnsweredValues.
     """
 
     def __init__(self, polls: BlockPolls, begin: int, end: int) -> None:
         """Take the rows (transactions) with the indices `begin` to `end` (exclusive)."""
         self._polls = polls
-        is_ok = polls.usual.exception[begin:end] < 0
-        is_ok |= np.isin(polls.rows.code[begin:end], WRITES)
-        self._rows: Int64s = np.flatnonzero(is_ok) + begin
+        self._rows: Int64s = np.flatnonzero(polls.usual.exception[begin:end] < 0) + begin
         number = polls.poll[self._rows]
         if polls.has_masters:
             of_slaves = polls.unit[self._rows] << 48 | polls.asked[self._rows]
@@ -130,12 +128,10 @@ class QuietParts:
     connections that were read from arrays as a whole.
     """
 
-    def __init__(self, namer: Namer, *, exceptions: bool = True) -> None:
-        """Without `exceptions`, a transaction whose response is an exception is an object."""
-        self._exceptions = exceptions
+    def __init__(self, namer: Namer) -> None:
         self._objects = PlainObjects(namer)
         self._sunspec = SunSpecRows()
-        self._forms = PollForms()
+        self._likes: Likes = {}
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | BlockRows]:
         """Yield the transactions and events of a block in the order in which packets completed
@@ -152,9 +148,7 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(
-            rows, self._objects, self._sunspec, self._forms, exceptions=self._exceptions
-        )
+        block = _QuietBlock(rows, self._objects, self._sunspec, self._likes)
         yield from block.parts(records, passed)
 
 
@@ -170,18 +164,14 @@ class _QuietBlock:
         rows: PlainRows,
         objects: PlainObjects,
         sunspec: SunSpecRows,
-        forms: PollForms,
-        *,
-        exceptions: bool,
+        likes: Likes,
     ) -> None:
         self._rows = rows
         self._usual = usual = UsualValues(rows)
         self._objects = objects.of(rows, usual)
         usual.is_usual &= ~(sunspec.find(rows, usual) | self._objects.have_profile())
-        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS]) if exceptions else (
-            usual.exception >= 0
-        )  # fmt: skip
-        self._polls = BlockPolls(rows, usual, self._objects, forms)
+        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS])
+        self._polls = BlockPolls(rows, usual, self._objects, likes)
         self._connection = narrow(self._polls.connection)
         self._is_quiet = self._without_findings(usual.is_usual & ~is_apart)
         self._is_quiet &= ~_overlap(rows, self._connection)
@@ -285,19 +275,6 @@ class _QuietBlock:
 
     def reads(self, begin: int, end: int) -> BlockReads:
         return BlockReads(self._polls, begin, end)
-
-    def slow(self, begin: int, end: int, least_ns: int, most: int) -> Iterator[SlowRead]:
-        rows = self._rows
-        latency = rows.response_ns[begin:end] - rows.request_ns[begin:end]
-        for place in slowest(latency, least_ns, most, self._polls.unit[begin:end]).tolist():
-            index = begin + place
-            yield SlowRead(
-                place,
-                rows.connections[rows.connection[index]].link,
-                int(rows.unit[index]),
-                int(latency[place]),
-                partial(self._objects.one, index),
-            )
 
     def _without_findings(self, is_answered: Bools) -> Bools:
         """Return for each answered row True if it gives no finding. Without a profile, that depends
@@ -508,9 +485,3 @@ class BlockRows:
     def reads(self) -> BlockReads:
         """The values of the answered reads and writes, by poll."""
         return self._block.reads(*self._rows)
-
-    def slow(self, least_ns: int, most: int) -> Iterator[SlowRead]:
-        """Yield the reads that took `least_ns` or longer, in order: of each unit at most `most`,
-        the longest ones.
-        """
-        return self._block.slow(*self._rows, least_ns, most)

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from operator import add
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.quiet_run import (
         AlikeRequests,
         ConnectionCounts,
-        LinkRequests,
         QuietRun,
         Stay,
     )
@@ -200,9 +200,9 @@ class Account:
         self.transactions += len(run)
         uses = [self._count_form(form, run) for form in run.forms]
         self._count_units(run, uses)
-        for link in run.links:
-            self._count_link(link)
-        self._order.add_answered(run.request_ns, self._count_polls(run, uses), run.response_ns)
+        rows = run.rows
+        ends_ns = [*map(add, rows.request_ns, rows.latencies_ns)]
+        self._order.add_answered(rows.request_ns, self._count_polls(run, uses), ends_ns)
 
     def begin_capture(self) -> None:
         """Note that the next transaction or event belongs to another capture, perhaps of another
@@ -372,7 +372,9 @@ class Account:
         end in a new way.
         """
         for poll, stay in held:
-            for place in {run.exceptions[place]: place for place in reversed(stay.places)}.values():
+            for place in {
+                run.rows.exceptions[place]: place for place in reversed(stay.places)
+            }.values():
                 like = run.forms[run.form[place]].like
                 if _is_new_kind(poll.tally, like):
                     fresh = [*fresh, place]
@@ -380,7 +382,7 @@ class Account:
             like, use, asked = (
                 run.forms[run.form[place]].like,
                 uses[run.form[place]],
-                run.asked[place],
+                run.rows.asked[place],
             )
             address, quantity = asked >> 16 & 0xFFFF, asked & 0xFFFF
             use.unit.transports.add(like.transport.value)
@@ -400,24 +402,26 @@ class Account:
         if use.master is not None:
             use.master.note(like, form.begin_ns, form.end_ns)
         if like.outcome is not Outcome.OK:
-            times_ns = [run.request_ns[place] for place in form.places]
+            times_ns = [run.rows.request_ns[place] for place in form.places]
             unit.note_failure(like.outcome, min(times_ns))
             unit.note_failure(like.outcome, max(times_ns))
         return use
 
     def _count_units(self, run: QuietRun, uses: Sequence[UseAccount]) -> None:
-        """Count the requests of `run` over time with their units; `uses` has the use of each of its
-        forms.
+        """Count the requests of `run` over time with their units and links; `uses` has the use of
+        each of its forms.
         """
+        rows, by_time = run.rows, run.rows.request_ns.__getitem__
         of_units: dict[UnitAccount, list[int]] = {}
+        of_links: dict[str, list[int]] = {}
         for form, use in zip(run.forms, uses, strict=True):
             of_units.setdefault(use.unit, []).extend(form.places)
+            of_links.setdefault(form.like.link, []).extend(form.places)
         for unit, places in of_units.items():
-            places.sort(key=run.request_ns.__getitem__)
-            latencies_ns = [run.response_ns[place] - run.request_ns[place] for place in places]
-            refused = [run.exceptions[place] >= 0 for place in places]
-            times_ns = [run.request_ns[place] for place in places]
-            for cell, begin, end in unit.bins.cells_of(times_ns):
+            places.sort(key=by_time)
+            latencies_ns = [rows.latencies_ns[place] for place in places]
+            refused = [rows.exceptions[place] >= 0 for place in places]
+            for cell, begin, end in unit.bins.cells_of([*map(by_time, places)]):
                 some, exceptions = latencies_ns[begin:end], sum(refused[begin:end])
                 cell[UnitSum.REQUESTS] += end - begin
                 cell[UnitSum.LATENCIES] += end - begin
@@ -425,13 +429,12 @@ class Account:
                 cell[UnitSum.EXCEPTION] += exceptions
                 cell[UnitSum.LATENCY_NS] += sum(some)
                 cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
-
-    def _count_link(self, link: LinkRequests) -> None:
-        """Count requests over time with their link."""
-        before = link.bytes_before
-        for cell, begin, end in self.links[link.link].bins.cells_of(link.request_ns):
-            cell[LinkSum.REQUESTS] += end - begin
-            cell[LinkSum.BYTES] += before[end] - before[begin]
+        for link, places in of_links.items():
+            places.sort(key=by_time)
+            sizes = [rows.request_bytes[place] + rows.response_bytes[place] for place in places]
+            for cell, begin, end in self.links[link].bins.cells_of([*map(by_time, places)]):
+                cell[LinkSum.REQUESTS] += end - begin
+                cell[LinkSum.BYTES] += sum(sizes[begin:end])
 
     def _add_event(self, event: WireEvent) -> None:
         self.events[event.kind] += 1
@@ -555,12 +558,12 @@ def _count(run: QuietRun, places: list[int], tally: RequestTally) -> None:
     forms: dict[int, list[int]] = {}
     for place in places:
         forms.setdefault(run.form[place], []).append(place)
-    asking, answering = run.sizes
+    rows = run.rows
     for form, some in forms.items():
-        request_bytes = sum(asking[place] for place in some)
-        response_bytes = sum(answering[place] for place in some)
+        request_bytes = sum(rows.request_bytes[place] for place in some)
+        response_bytes = sum(rows.response_bytes[place] for place in some)
         tally.count_alike(run.forms[form].like, len(some), request_bytes, response_bytes)
-    tally.latency.add_all([run.response_ns[one] - run.request_ns[one] for one in places])
+    tally.latency.add_all([rows.latencies_ns[place] for place in places])
 
 
 def _size(one: NamedTransaction) -> int:

@@ -7,9 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.devices import NamedTransaction
+    from collections.abc import Sequence
 
 
 class ValueChanges(NamedTuple):
@@ -23,18 +21,6 @@ class ValueChanges(NamedTuple):
     at_ns: list[int]
     """The time (UTC ns) of the response that shows the change."""
     values: list[int]
-
-
-class SlowRead(NamedTuple):
-    """An answered read that took long."""
-
-    place: int
-    """Its index among the reads that were given together."""
-    link: str
-    unit: int
-    latency_ns: int
-    transaction: Callable[[], NamedTransaction]
-    """Makes the transaction."""
 
 
 class ReadValues(Protocol):
@@ -69,7 +55,7 @@ class AnsweredReads(NamedTuple):
     values: ReadValues
 
 
-class PolledValues(Protocol):
+class AnsweredValues(Protocol):
     """The values of answered reads and of writes, by poll; the polls are sorted by their first
     requests.
     """

@@ -104,11 +104,9 @@ class Cases(Sense):
         for counts in run.opened_and_closed:
             if counts.first_opened_ns is not None:
                 self._note_opened((counts.link, counts.host), counts.first_opened_ns)
-        if run.longest_ns < SLOW_NS:
-            return
         for place, latency_ns in run.slow(SLOW_NS, SLOWEST):
             heap = self._heap(run.like(place))
-            if _has_place(heap, latency_ns, run.request_ns[place]):
+            if _has_place(heap, latency_ns, run.rows.request_ns[place]):
                 self._keep_slow(heap, latency_ns, _evidence(run, place, _took(latency_ns)))
 
     def event(self, event: WireEvent) -> None:
@@ -186,7 +184,7 @@ class Cases(Sense):
 
 def _evidence(run: QuietRun, place: int, text: str = "") -> Evidence:
     """Return a transaction of a run as evidence."""
-    file, at_ns = run.forms[run.form[place]].like.file, run.request_ns[place]
+    file, at_ns = run.forms[run.form[place]].like.file, run.rows.request_ns[place]
     return Evidence(ts_ns=at_ns, text=text, file=file, packets=run.packets(place))
 
 

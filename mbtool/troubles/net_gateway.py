@@ -208,10 +208,8 @@ class Gateways(Sense):
     def run(self, run: QuietRun) -> None:
         for form in run.forms:
             self._shared_by(form.like)
-        if run.longest_ns < min(WAIT_NS, SLOW_NS):
-            return
         for place, latency_ns in run.slow(min(WAIT_NS, SLOW_NS)):
-            like, at_ns = run.forms[run.form[place]].like, run.request_ns[place]
+            like, at_ns = run.forms[run.form[place]].like, run.rows.request_ns[place]
             shared = self._shared_by(like)
             if shared is not None and latency_ns >= WAIT_NS:
                 master, address = host_of(like.source), run.like(place).address

@@ -88,7 +88,7 @@ class Hosts(Sense):
     def run(self, run: QuietRun) -> None:
         for form in run.forms:
             place = form.places[0]
-            at_ns, packets = run.request_ns[place], run.packets(place)
+            at_ns, packets = run.rows.request_ns[place], run.packets(place)
             first = Evidence(ts_ns=at_ns, file=form.like.file, packets=packets)
             self._note(form.like, len(form.places), form.begin_ns, form.end_ns, first)
 

@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 
     from mbtool.devices import NamedTransaction
     from mbtool.devices.assignment import Assignments
-    from mbtool.ledger.answered_reads import PolledValues
+    from mbtool.devices.checking.quiet_run import QuietRun
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.modbus.tables import Table
     from mbtool.values.followed_values import FollowedValue
@@ -281,7 +282,17 @@ class ValueFaults(Sense):
             poll.words.extend(values)
             self._take(key, poll)
 
-    def reads(self, reads: PolledValues) -> None:
+    def run(self, run: QuietRun) -> None:
+        rows = run.rows
+        for place in [place for place, code in enumerate(rows.exceptions) if code >= 0]:
+            asked, (link, _, _) = rows.asked[place], rows.ends[place]
+            function, address = FUNCTIONS[asked >> 32 & 0xFF], asked >> 16 & 0xFFFF
+            table = function.table if function.writes else None
+            if table is not None and not table.is_bits:
+                span = range(address, address + (asked & 0xFFFF))
+                self._note_write(link, asked >> 40, table, span)
+
+    def reads(self, reads: AnsweredValues) -> None:
         """Take many answered reads and writes of slaves without profiles together."""
         for index, asked in enumerate(reads.asked):
             link, unit, code, address, quantity = asked

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from mbtool.devices import NamedTransaction
-    from mbtool.ledger.answered_reads import PolledValues
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.modbus.tables import Table
 
 MAX_SERIES = 256
@@ -132,7 +132,7 @@ class Values:
             self._follow(poll, RequestedSpan(one.link, one.unit, function.table, span))
             _add_changes(poll.series, values, () if poll.is_shared else before or (), at_ns)
 
-    def add_reads(self, reads: PolledValues) -> None:
+    def add_reads(self, reads: AnsweredValues) -> None:
         """Take many reads of slaves without profiles, with the same result as `add` for each."""
         polls = []
         for index, asked in enumerate(reads.asked):

@@ -162,16 +162,13 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
-        exceptions_apart: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account. With `exceptions_apart`, each
-        transaction whose response is an exception is a CheckedRecord of its own.
+        all. `on_retry` and `observes` are those of Account.
         """
-        self._exceptions_apart = exceptions_apart
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
@@ -294,9 +291,7 @@ class CheckRun:
 
     def _parts(self) -> Iterator[Record | BlockRows]:
         columns = self._columns if self._window.is_whole else None
-        if columns is None:
-            return self.reading.records()
-        return columns.quiet_parts(exceptions=not self._exceptions_apart)
+        return self.reading.records() if columns is None else columns.quiet_parts()
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:

@@ -20,7 +20,7 @@ from mbtool.ports.clock import now_ns
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.troubles.broken_rules import Summaries
-from mbtool.troubles.polling import LATE_NS, late_units
+from mbtool.troubles.polling import late_units
 from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import Values
 from mbtool.version import __version__
@@ -32,7 +32,6 @@ from mbtool.views.report.contents import (
     encoded,
     report_document,
 )
-from mbtool.views.report.late_answers import OF_UNIT
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.views.statistics_summary import TOGETHER_TEXT
@@ -93,7 +92,6 @@ class ReportRun:
             wanted=wanted,
             on_retry=self._mark_retry,
             observes=True,
-            exceptions_apart=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
@@ -174,16 +172,10 @@ class ReportRun:
             self._rows.mark(finding)
 
     def _add_rows(self, rows: BlockRows) -> None:
-        """Take answered reads without findings together; only the first ones of the capture need a
-        row of the table.
-        """
+        """Take answered reads and writes without findings together."""
         self._values.add_reads(rows.reads)
         self._rows.pauses.note_run(rows.run, self._rows.transactions, rows.chosen)
-        wanted = self._rows.first_of(len(rows))
-        for named in rows.transactions(wanted):
-            self._rows.add(named, ())
-        others = rows.behind(wanted)
-        self._rows.pass_over(len(others), others.slow(LATE_NS, OF_UNIT))
+        self._rows.add_run(rows.run, rows.chosen)
 
     def _note_capture(self) -> None:
         if self.reading.captures != self._captures:

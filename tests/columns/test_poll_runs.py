@@ -207,7 +207,8 @@ def test_a_run_knows_the_packets_and_sizes_of_each_request() -> None:
     with patch.object(quiet_rows, "FEWEST", 3):
         runs = [part for part in in_runs(capture) if isinstance(part, BlockRun)]
     for run in runs:
-        for place, (asking, answering) in enumerate(zip(*run.sizes, strict=True)):
+        sizes = zip(run.rows.request_bytes, run.rows.response_bytes, strict=True)
+        for place, (asking, answering) in enumerate(sizes):
             like = run.like(place)
             one = expected[like.link, like.request_ns]
             assert run.packets(place) == (one.request_packet, one.response_packet)
@@ -226,7 +227,7 @@ def test_the_values_of_a_poll_leave_out_its_refused_requests() -> None:
     with patch.object(quiet_rows, "FEWEST", 3):
         parts = [one for one in quiet_parts(several_polls()) if isinstance(one, BlockRows)]
     for part in parts:
-        refused += len(part.run.refused)
+        refused += sum(code >= 0 for code in part.run.rows.exceptions)
         for index, (_, _, function, _, quantity) in enumerate(part.reads.asked):
             one = part.reads[index]
             if function == 3:
@@ -257,9 +258,9 @@ def test_polls_used_together_leave_the_same_entries_as_one_by_one(number: int) -
     for run in runs:
         for value, stay in together.use(run):
             value += [uses + place for place in stay.places]
-        names, numbers = run.polls()
-        for place, poll_number in enumerate(numbers):
-            singly[names[poll_number]].append(uses + place)
+        polls = run.stays((), len(run)).left
+        for place, name in sorted((place, one.name) for one in polls for place in one.places):
+            singly[name].append(uses + place)
         uses += len(run)
         assert list(together.items()) == list(singly.items())
     assert uses > 20

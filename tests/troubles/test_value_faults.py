@@ -354,7 +354,7 @@ class Words:
 
 
 class Reads:
-    """The reads of one poll, as PolledValues has them."""
+    """The reads of one poll, as AnsweredValues has them."""
 
     def __init__(self, quantity: int, times: list[int], rows: Sequence[Sequence[int]]) -> None:
         self.asked = [("a", 1, 3, 10, quantity)]

@@ -15,7 +15,6 @@ from mbtool.ledger import account
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.values import values
 from mbtool.views.report import late_answers, transaction_rows
-from mbtool.workflows import report
 from mbtool.workflows.report import ReportRun
 from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.reading import ReadingOptions
@@ -146,7 +145,6 @@ def test_late_answers_are_rows_both_ways(tmp_path: Path) -> None:
     with (
         patch.object(transaction_rows, "FIRST", 100),
         patch.object(late_answers, "OF_UNIT", 3),
-        patch.object(report, "OF_UNIT", 3),
     ):
         assert demand_equal(path) > 100
         told = page_of(path, 0)[0]["transactions"]

@@ -144,7 +144,7 @@ class PollRules:
 
     def run(self, run: QuietRun) -> None:
         """Add many transactions together, with the same result as `transaction` for each."""
-        request_ns = run.request_ns
+        request_ns = run.rows.request_ns
         for poll, stay in self._polls.use(run):
             times = [request_ns[place] for place in stay.places]
             if poll.first is None:

@@ -15,6 +15,7 @@ rules of `mbtool check`, the account and the troubles. The responses may be exce
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 if TYPE_CHECKING:
@@ -72,43 +73,20 @@ class AlikeRequests(NamedTuple):
     """The time (UTC ns) of the latest response."""
 
 
-class LinkRequests(NamedTuple):
-    """The requests of a run to one link, sorted by time."""
+class RunRows(NamedTuple):
+    """The fields of the transactions of a run, in the order of the responses."""
 
-    link: str
-    request_ns: list[int]
-    bytes_before: list[int]
-    """For each request, the number of bytes in the ADUs of those before it and of their responses;
-    and at the end, that of all."""
-
-
-class UnitRequests(NamedTuple):
-    """The requests of a run on one connection to one unit."""
-
-    source: str
-    """HOST:PORT of the master."""
-    destination: str
-    unit: int
-    places: list[int]
-
-
-class QuietRequest(NamedTuple):
-    """A request in a run."""
-
-    source: str
-    """HOST:PORT of the master."""
-    destination: str
-    unit: int
-    function: int
-    address: int
-    quantity: int
-    at_ns: int
-    """The time of the request, in ns."""
-    place: int
-    packets: tuple[int, int]
-    """The numbers of the packets of the request and its response."""
-    exception: int
+    ends: list[tuple[str, str, str]]
+    """Link, HOST:PORT of the master, and HOST:PORT of the slave."""
+    asked: list[int]
+    """`asked_number` of the request."""
+    exceptions: list[int]
     """The exception code of the response; -1 if it is none."""
+    request_ns: list[int]
+    latencies_ns: list[int]
+    request_bytes: list[int]
+    """The number of bytes of the request's ADU."""
+    response_bytes: list[int]
 
 
 class QuietConnection(NamedTuple):
@@ -161,101 +139,42 @@ class QuietRun(Protocol):
 
     def __len__(self) -> int:
         """The number of transactions."""
-        ...
 
-    @property
-    def connections(self) -> list[QuietConnection]:
-        """The transactions grouped by connection, in the order of their last requests or
+    connections: list[QuietConnection]
+    """The transactions grouped by connection, in the order of their last requests or
         openings.
         """
-        ...
+    opened_and_closed: list[ConnectionCounts]
+    """The openings and closings of connections among the transactions."""
+    last_event_ns: int
+    """The latest time of the opening or closing of a connection; 0 if there is none."""
 
     @property
-    def opened_and_closed(self) -> list[ConnectionCounts]:
-        """The openings and closings of connections among the transactions."""
-        ...
-
-    @property
-    def last_event_ns(self) -> int:
-        """The latest time of the opening or closing of a connection; 0 if there is none."""
-        ...
-
-    @property
-    def last_request_ns(self) -> int: ...
-
-    @property
-    def last_response_ns(self) -> int: ...
-
-    @property
-    def longest_ns(self) -> int:
-        """The greatest latency."""
-        ...
-
-    @property
-    def request_ns(self) -> list[int]:
-        """The time of each request, in the order of the responses."""
-        ...
-
-    @property
-    def response_ns(self) -> list[int]: ...
-
-    @property
-    def asked(self) -> list[int]:
-        """The `asked_number` of each request."""
-        ...
-
-    @property
-    def exceptions(self) -> list[int]:
-        """The exception code of each response; -1 for one that is none."""
-        ...
+    def rows(self) -> RunRows:
+        """The fields of the transactions."""
 
     @property
     def forms(self) -> list[AlikeRequests]:
         """The transactions grouped by all but address and quantity, in the order in which the
         groups first appear.
         """
-        ...
 
-    @property
+    @cached_property
     def form(self) -> list[int]:
         """For each transaction, the index in `forms` of its group."""
-        ...
+        form = [0] * len(self)
+        for index, one in enumerate(self.forms):
+            for place in one.places:
+                form[place] = index
+        return form
 
     @property
-    def sizes(self) -> tuple[list[int], list[int]]:
-        """For each transaction, the number of bytes of its request ADU, and of its response ADU."""
-        ...
+    def last_request_ns(self) -> int:
+        return max(one.last_request_ns for one in self.connections)
 
     @property
-    def links(self) -> list[LinkRequests]:
-        """The transactions grouped by link."""
-        ...
-
-    @property
-    def units(self) -> list[tuple[str, int]]:
-        """Link and number of each unit, in the order of their last requests."""
-        ...
-
-    @property
-    def by_unit(self) -> list[UnitRequests]:
-        """The transactions grouped by connection and unit, in the order in which the groups first
-        appear.
-        """
-        ...
-
-    @property
-    def writes(self) -> list[QuietRequest]:
-        """The writes among them, in their order."""
-        ...
-
-    @property
-    def refused(self) -> list[QuietRequest]:
-        """Those whose response is an exception, in their order."""
-        ...
-
-    def asks(self, link: str, unit: int, function: int, address: int) -> bool:
-        """True if a request asks this of the unit."""
-        ...
+    def last_response_ns(self) -> int:
+        return max(one.last_response_ns for one in self.connections)
 
     def stays(self, held: Collection[PollName], limit: int, few: int = 0) -> Stays:
         """Return the stays of polls in a table with room for `limit` polls. `held` has the polls
@@ -263,31 +182,20 @@ class QuietRun(Protocol):
 
         Stays with at most `few` requests that begin and end in the run are `Stays.passing`.
         """
-        ...
-
-    def polls(self) -> tuple[list[PollName], list[int]]:
-        """Return the polls in the order of their first requests, and for each transaction the index
-        of its poll among these.
-        """
-        ...
 
     def slow(self, least_ns: int, most: int | None = None) -> list[tuple[int, int]]:
         """Return place and latency of each transaction that took `least_ns` or longer, in order; of
         each poll at most `most`, the longest ones.
         """
-        ...
 
     def like(self, place: int) -> NamedTransaction:
         """Make a transaction, but with the values and bytes of one with the same function."""
-        ...
 
     def packets(self, place: int) -> tuple[int, int]:
         """Return the numbers of the packets of a request and its response."""
-        ...
 
     def transactions(self) -> Iterator[NamedTransaction]:
         """Make the transactions one by one."""
-        ...
 
 
 class QuietRows(Protocol):
@@ -300,15 +208,12 @@ class QuietRows(Protocol):
     @property
     def run(self) -> QuietRun:
         """The figures about all rows, for the rules."""
-        ...
 
     def records(self, count: int) -> Iterator[NamedTransaction | WireEvent]:
         """The transactions of the first `count` rows, and the events before the next row."""
-        ...
 
     def behind(self, count: int) -> Self:
         """All rows but the first `count`."""
-        ...
 
 
 def asked_number(unit: int, function: int, address: int | None, quantity: int | None) -> int:

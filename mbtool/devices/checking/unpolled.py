@@ -262,27 +262,28 @@ class Unpolled(Generic[R]):
         thing = (scope, item)
         if not places or thing in self._polled:
             return places[0] if places else None
-        attempts, at_ns = self._attempts.get(thing), run.request_ns
+        attempts, rows = self._attempts.get(thing), run.rows
+        at_ns = rows.request_ns
         begin = 0
         if attempts is None:
             first = places[0]
             self.note(
                 scope,
                 item,
-                run.asked[first],
+                rows.asked[first],
                 at_ns[first],
                 lambda: make(first),
                 is_answered=True,
-                is_answered_as_asked=run.exceptions[first] < 0,
+                is_answered_as_asked=rows.exceptions[first] < 0,
                 packets=run.packets(first),
             )
             attempts = self._attempts[thing]
             begin = 1
-        number = attempts.polls_at([run.asked[place] for place in places[begin:]])
+        number = attempts.polls_at([rows.asked[place] for place in places[begin:]])
         end = None if number is None else begin + number
         some = places[begin:end]
         if some:
-            attempts.is_answered_as_asked |= any(run.exceptions[place] < 0 for place in some)
+            attempts.is_answered_as_asked |= any(rows.exceptions[place] < 0 for place in some)
             room = MAX_PACKETS - len(attempts.more)
             attempts.more += tuple(run.packets(place) for place in some[:room])
             attempts.last_ns = max(attempts.last_ns, *(at_ns[place] for place in some))
