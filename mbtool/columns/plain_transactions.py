@@ -94,7 +94,7 @@ class RowObjects:
         have: Bools = np.array(found, np.bool_)[like]
         return have
 
-    def one(self, index: int) -> NamedTransaction:
+    def transaction_of_row(self, index: int) -> NamedTransaction:
         """Return the transaction of the row with this index."""
         return next(self.chosen(np.array([index])))
 

@@ -60,7 +60,7 @@ def give_up_repeated(readings: Sequence[PairReading], habits: MasterHabits, requ
         (one,) = awaited
         if one.adu is None or one.number in reading.behind_others:
             continue
-        if habits.heard_ns > one.since_ns:
+        if habits.got_response_until_ns > one.since_ns:
             continue
         if request_key(one.adu) == request_key(request):
             reading.give_up(awaited)

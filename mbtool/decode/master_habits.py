@@ -116,7 +116,7 @@ class MasterHabits:
         return max(self._slowest_ns.values(), default=None)
 
     @property
-    def heard_ns(self) -> int:
+    def got_response_until_ns(self) -> int:
         """The latest time (ns) at which the master can have got its last response, also one that
         the capture lacks.
         """

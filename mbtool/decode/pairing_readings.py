@@ -422,7 +422,7 @@ def _response_cost(
     cost = 0.0 if one.fits(response) else MISFIT
     if habits.is_too_early(one.adu.pdu[0], response.start_ns - one.adu.end_ns):
         return cost + TOO_EARLY
-    since_ns = max(one.since_ns, habits.heard_ns)
+    since_ns = max(one.since_ns, habits.got_response_until_ns)
     is_slow = response.start_ns - since_ns > habits.slow_ns(one.function)
     return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
 

@@ -163,7 +163,7 @@ class PollStatistics:
         longest = nsmallest(LONGEST, some, key=lambda one: (-one[0], one[1]))
         self.longest = tuple(one for one in longest if one[0] >= LONG_NS)
 
-    def begin_again(self, at_ns: int) -> RetryChange:
+    def note_repetition(self, at_ns: int) -> RetryChange:
         """Note a request that directly follows an equal one without a response, at `at_ns` (UTC
         ns).
 

@@ -162,7 +162,7 @@ class RequestOrder:
             elif poll is not unanswered:
                 poll.begin(at_ns)
             else:
-                change = poll.begin_again(at_ns)
+                change = poll.note_repetition(at_ns)
                 if self._on_retry is not None:
                     for found_ns in change.found:
                         self._on_retry(poll, found_ns, 1)

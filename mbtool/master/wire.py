@@ -258,7 +258,7 @@ class TcpWire(Wire):
         self._last_id = self._last_id % 0xFFFF + 1
         return mbap_adu(self._last_id, unit, pdu)
 
-    def another(self) -> TcpWire:
+    def open_another(self) -> TcpWire:
         """Return a further connection to the same slave. Raises LinkError if it is refused."""
         return TcpWire(self._link, self.timeout_ns)
 

@@ -422,12 +422,12 @@ class BusModel:
         waited_ns = start_ns - pending.awaited_from_ns
         if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):
             return False
-        if history.latency.has_heard(waited_ns):
+        if history.latency.has_taken_as_long(waited_ns):
             return False
         if history.latency.doublings_late(waited_ns) > costs.SLOW_DOUBLINGS:
             return False
         heard = history.echo_latencies.get((unit, pdu[0]))
-        return heard is None or not heard.has_heard(waited_ns)
+        return heard is None or not heard.has_taken_as_long(waited_ns)
 
     def reset_state(self) -> None:
         """Forget the bus state: the clock was set back, so its times mean nothing any more."""

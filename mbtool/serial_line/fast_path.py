@@ -271,7 +271,7 @@ class FastPath:
         if pdu[0] in READ_BITS and not is_padded(pending.pdu, pdu):
             return False
         waited_ns = start_ns - pending.awaited_from_ns
-        if history.trusts_silences and not history.latency.has_heard(waited_ns):
+        if history.trusts_silences and not history.latency.has_taken_as_long(waited_ns):
             return False
         return waited_ns <= MAX_PENDING_NS
 

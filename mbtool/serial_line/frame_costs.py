@@ -318,9 +318,9 @@ def _lateness_cost(
         if timeout.is_not_over(silence_ns):
             most = costs.LATE_BEFORE_TIMEOUT
     heard = history.echo_latencies.get((pending.unit, pending.pdu[0]))
-    if heard and heard.has_heard(silence_ns):
+    if heard and heard.has_taken_as_long(silence_ns):
         return 0.0
-    if history.all_echo_latencies.has_heard(silence_ns):
+    if history.all_echo_latencies.has_taken_as_long(silence_ns):
         most = min(most, costs.LATE_AS_OTHERS)
     # An echo (a response that equals its request) that comes later than any other response may be a
     # retry. So MARGIN_DOUBLINGS is allowed for only if it comes sooner than any retry can.

@@ -218,7 +218,7 @@ class LatencyStatistics:
         """True if ENOUGH_RESPONSES responses were heard, so that the longest latency is known."""
         return self._heard >= self.ENOUGH_RESPONSES
 
-    def has_heard(self, latency_ns: int) -> bool:
+    def has_taken_as_long(self, latency_ns: int) -> bool:
         """True if the longest latency heard is at least `latency_ns`, or up to 5 % less."""
         return self._heard > 0 and latency_ns <= self._longest_ns * self.NEARLY
 

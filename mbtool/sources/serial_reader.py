@@ -100,7 +100,7 @@ def _put_data(
 ) -> None:
     records.put(RecordKind.DATA, read_ns, data)
     if damaged:
-        errors.mark(data, damaged, read_ns)
+        errors.note_damaged(data, damaged, read_ns)
 
 
 if __name__ == "__main__":

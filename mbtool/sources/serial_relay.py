@@ -168,7 +168,7 @@ class _SerialDirection:
         finally:  # Record the bytes even if they cannot be passed on.
             records.put(self._kind, read_ns, data)
             if self.port.damaged:
-                self._errors.mark(data, self.port.damaged, read_ns)
+                self._errors.note_damaged(data, self.port.damaged, read_ns)
         return True
 
     def send(self) -> None:

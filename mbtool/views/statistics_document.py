@@ -151,11 +151,11 @@ def _latency(latency: Distribution) -> dict[str, Any] | None:
 def _load(load: BusLoad) -> dict[str, Any]:
     return {
         "busy_share": load.busy_share,
-        "characters_share": load.share(load.spent.characters_ns),
-        "other_bytes_share": load.share(load.other_ns),
-        "slaves_share": load.share(load.spent.slaves_ns),
-        "missing_share": load.share(load.spent.missing_ns),
-        "pauses_share": load.share(load.pauses_ns),
+        "characters_share": load.share_of_time(load.spent.characters_ns),
+        "other_bytes_share": load.share_of_time(load.other_ns),
+        "slaves_share": load.share_of_time(load.spent.slaves_ns),
+        "missing_share": load.share_of_time(load.spent.missing_ns),
+        "pauses_share": load.share_of_time(load.pauses_ns),
     }
 
 
@@ -203,10 +203,10 @@ def _poll_load(one: PollReport, link: LinkReport) -> dict[str, Any] | None:
     if load is None or spent is None:
         return None
     return {
-        "characters_share": load.share(spent.characters_ns),
-        "slaves_share": load.share(spent.slaves_ns),
-        "missing_share": load.share(spent.missing_ns),
-        "total_share": load.share(spent.total_ns),
+        "characters_share": load.share_of_time(spent.characters_ns),
+        "slaves_share": load.share_of_time(spent.slaves_ns),
+        "missing_share": load.share_of_time(spent.missing_ns),
+        "total_share": load.share_of_time(spent.total_ns),
     }
 
 

@@ -398,7 +398,7 @@ def _poll_cells(one: PollReport, link: LinkReport, *, with_missing: bool) -> lis
     every = "varies" if poll.period.count else "-"
     share = ""
     if link.load is not None and one.line_time is not None:
-        share = percent(link.load.share(one.line_time.total_ns))
+        share = percent(link.load.share_of_time(one.line_time.total_ns))
     return [
         f"{poll.tally.requests:,}",
         in_s(poll.period.percentile(50)) if is_regular else every,
@@ -455,10 +455,12 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
         if load is None:
             continue
         parts = [f"busy {percent(load.busy_share)}"]
-        parts.append(f"waits for slaves {percent(load.share(load.spent.slaves_ns))}")
+        parts.append(f"waits for slaves {percent(load.share_of_time(load.spent.slaves_ns))}")
         if load.spent.missing_ns:
-            parts.append(f"for missing answers {percent(load.share(load.spent.missing_ns))}")
-        parts.append(f"free {percent(load.share(load.pauses_ns))}")
+            parts.append(
+                f"for missing answers {percent(load.share_of_time(load.spent.missing_ns))}"
+            )
+        parts.append(f"free {percent(load.share_of_time(load.pauses_ns))}")
         text = f"{_prefix(link, links)}line: {', '.join(parts)}"
         lines += wrapped(StyledLine(text), width)
         lines += _longest_polls(link, width)
@@ -476,7 +478,7 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
         return []
     found = [(one.line_time.total_ns, one.poll) for one in link.polls if one.line_time is not None]
     found.sort(key=lambda one: -one[0])
-    texts = [f"{poll_text(poll)} {percent(load.share(ns))}" for ns, poll in found[:_EATERS]]
+    texts = [f"{poll_text(poll)} {percent(load.share_of_time(ns))}" for ns, poll in found[:_EATERS]]
     text, *others = texts
     text = f"  kept most by {text}"
     for other in others:

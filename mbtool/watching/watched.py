@@ -136,7 +136,7 @@ class Watched:
             self.unfiltered = next(numbers, self._numbers + 1) - 1
         self.filtered.advance(self._settled_ns)
 
-    def mark(self, kept: KeptRecord) -> bool:
+    def toggle_mark(self, kept: KeptRecord) -> bool:
         """Mark a record; if it is marked already, remove its mark.
 
         Returns False, and marks nothing, if MAX_MARKED other records are marked.

@@ -477,7 +477,7 @@ class Conformance:
         with ExitStack() as stack:
             try:
                 for _ in range(_CONNECTIONS - 1):
-                    opened.append(stack.enter_context(wire.another()))
+                    opened.append(stack.enter_context(wire.open_another()))
             except LinkError:
                 pass  # The slave has a limit.
             for number, one in enumerate([*opened, wire]):

@@ -169,7 +169,7 @@ class ReportRun:
             self._note_capture()
             self._add_rows(one.rows)
         for finding in findings:
-            self._rows.mark(finding)
+            self._rows.add_finding(finding)
 
     def _add_rows(self, rows: BlockRows) -> None:
         """Take answered reads and writes without findings together."""

@@ -1,8 +1,9 @@
 """Runs commands in a broken environment, each in a process forked from this one.
 
 All of mbtool is imported once, so a command costs some tens of milliseconds. Run as a program: the
-arguments are the name of an environment, a folder for files, and a JSON object of command lines by
-name. Prints a JSON object: for each command its exit code and what it wrote to standard error.
+arguments are a folder for files, and a JSON object that has, by environment, command lines by name.
+Prints a JSON object of the same form: for each command its exit code and what it wrote to standard
+error.
 """
 
 from __future__ import annotations
@@ -136,13 +137,12 @@ if __name__ == "__main__":
     for module in pkgutil.walk_packages(mbtool.__path__, "mbtool."):
         if not module.name.endswith(_NOT_IMPORTED):
             importlib.import_module(module.name)
-    name, folder, commands = sys.argv[1:]
-    os.chdir(folder)
-    print(  # noqa: T201 - the result of this program
-        json.dumps(
-            {
-                key: run(command, ENVIRONMENTS[name], os.path.join(folder, "output"))
-                for key, command in json.loads(commands).items()
-            }
-        )
-    )
+    folder, commands = sys.argv[1:]
+    told: dict[str, dict[str, tuple[int, str]]] = {}
+    for name, lines in json.loads(commands).items():
+        place = os.path.join(folder, name)
+        os.mkdir(place)
+        os.chdir(place)
+        output = os.path.join(place, "output")
+        told[name] = {key: run(line, ENVIRONMENTS[name], output) for key, line in lines.items()}
+    print(json.dumps(told))  # noqa: T201 - the result of this program

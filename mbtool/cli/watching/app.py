@@ -501,7 +501,7 @@ class WatchApp(PromptedApp):
             is_here = self.view_at == _TRANSACTIONS
             self.tell("nothing to mark" if is_here else "marks are for transactions: key 3")
             return
-        if not self.feed.watched.mark(row.kept):
+        if not self.feed.watched.toggle_mark(row.kept):
             self.tell("no more can be marked; save these first")
         self.table.move(1)
         self.draw()

@@ -78,7 +78,7 @@ class RegisterImage:
         else:
             self.blocks.set(point.table, point.block, address - point.block, values)
 
-    def share(self, table: Table, with_table: Table) -> None:
+    def share_contents(self, table: Table, with_table: Table) -> None:
         """Let `table` and `with_table` have the same contents from now on, at each address.
 
         An address starts with its value in `with_table`; if that is 0, with its value in `table`.
@@ -91,7 +91,7 @@ class RegisterImage:
             if any(ours[at : at + width]) and not any(theirs[at : at + width]):
                 theirs[at : at + width] = ours[at : at + width]
         self._cells[table] = theirs
-        self.blocks.share(table, with_table)
+        self.blocks.share_contents(table, with_table)
 
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
         """Return the bytes that hold a table, and the slice of them for the addresses `span`.
@@ -170,7 +170,7 @@ class Blocks:
             raise ValueError(f"the block at {first} does not hold {list(values)} from {offset} on")
         block[offset : offset + len(values)] = values
 
-    def share(self, table: Table, with_table: Table) -> None:
+    def share_contents(self, table: Table, with_table: Table) -> None:
         """Let reads of `table` find the blocks of `with_table`, too, at the same addresses."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:

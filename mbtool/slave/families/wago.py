@@ -74,8 +74,8 @@ class ProcessImage:
     """Reads and writes the inputs and outputs of a coupler in its register image."""
 
     def __init__(self, image: RegisterImage) -> None:
-        image.share(Table.INPUT_REGISTERS, HOLDING)
-        image.share(Table.DISCRETE_INPUTS, COILS)
+        image.share_contents(Table.INPUT_REGISTERS, HOLDING)
+        image.share_contents(Table.DISCRETE_INPUTS, COILS)
         self._image = image
         self._parts = _digital_parts(image.get(HOLDING, _SIZES.start, len(_SIZES)))
 

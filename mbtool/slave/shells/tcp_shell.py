@@ -107,7 +107,7 @@ class Host(Protocol):
         Returns the master's Peer in the rules, or None if the connection must be closed.
         """
 
-    def left(self, connection: MasterConnection) -> None:
+    def note_left(self, connection: MasterConnection) -> None:
         """Called when a connection has ended."""
 
     def follow_rules(self) -> None:
@@ -238,7 +238,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             is_gone = isinstance(exc, OSError) and exc.errno in _GONE
             loss = Loss.NOT_ALIVE if is_gone else self._loss
             self._rules.lost(self.peer, loss, self._clock())
-            self._shell.left(self)
+            self._shell.note_left(self)
             if self._rules.changed:
                 self._shell.follow_rules()
 
@@ -492,7 +492,7 @@ class TcpSlave(Shell):
             self.connections.add(connection)
         return admission.peer
 
-    def left(self, connection: MasterConnection) -> None:
+    def note_left(self, connection: MasterConnection) -> None:
         self.connections.discard(connection)
 
     def follow_rules(self) -> None:

@@ -278,7 +278,7 @@ class TransactionRows:
         if damaged_ns is not None:
             self._by_time[one.link, one.unit, damaged_ns] = row, codes
 
-    def mark(self, finding: Finding) -> None:
+    def add_finding(self, finding: Finding) -> None:
         """Add a finding about an earlier transaction to its row, unless the row was not kept."""
         found = self._by_time.get((finding.link, finding.unit, finding.ts_ns))
         if found is None or finding.code in found[1]:

@@ -135,7 +135,9 @@ def evidence_and_events(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
     """
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     return _in_place(
-        item for item in log.heard() if not isinstance(item, WireEvent) or is_of_source(item, taps)
+        item
+        for item in log.captured_items()
+        if not isinstance(item, WireEvent) or is_of_source(item, taps)
     )
 
 
