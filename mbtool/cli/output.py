@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -21,9 +22,6 @@ from mbtool.core.errors import reason_unwritten
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table

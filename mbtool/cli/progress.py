@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
@@ -14,8 +15,6 @@ from typing import TYPE_CHECKING, TypeVar
 from mbtool.cli.talk import escaped
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.workflows.shared.read_all import Work
 
 T = TypeVar("T")

@@ -23,6 +23,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
@@ -30,8 +31,6 @@ from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
 from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu

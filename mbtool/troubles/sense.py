@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport

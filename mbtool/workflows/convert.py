@@ -16,6 +16,7 @@ import os
 import platform
 import re
 import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -37,7 +38,7 @@ from mbtool.core import (
 from mbtool.core.errors import reason_of
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.replacing import replacing
-from mbtool.devices import profile_to_json
+from mbtool.devices import NamedTransaction, profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.opening import typed_command
@@ -53,21 +54,16 @@ from mbtool.packets.line_packets import (
 )
 from mbtool.packets.made_packets import PacketMaker
 from mbtool.packets.tcp_ends import tcp_ends
-from mbtool.workflows.shared.conversion_inputs import grouped
+from mbtool.workflows.shared.conversion_inputs import InputGroup, grouped
 from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import LogItem
-    from mbtool.workflows.shared.conversion_inputs import InputGroup
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from mbtool.core import CutError, DamageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.reading import Reading
 
