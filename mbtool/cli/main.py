@@ -1,8 +1,8 @@
 """The entry of the command line: mbtool COMMAND."""
 
-# Each command has a file of its own, named below. It imports modules that are slow to load only when
-# it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
-# exit code.
+# Each command has a file of its own, named below. It imports modules that are slow to load only
+# when it runs, calls a workflow and prints the result. Only this file turns errors into a line and
+# an exit code.
 #
 # Python's collector of cyclic garbage runs less often than usual: a decoder makes many objects, and
 # few cycles among them. stats of a large file then takes 7 % less time.
