@@ -34,11 +34,12 @@ from mbtool.cli.options import (
     condition,
 )
 from mbtool.cli.output_path import demand_other_file
-from mbtool.cli.progress import Files, with_progress
+from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import interruptible, say, say_if_interrupted
 from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.core.moments import counted
 from mbtool.workflows.shared.named_files import named_files
+from mbtool.workflows.shared.read_all import CountedWork
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def run_job(
     with say_if_interrupted(kept):
         outcomes = job.run(executor)
         first = next(outcomes, None)  # Then the number of files is known.
-        left = Files(job.files - job.done_before)
+        left = CountedWork(job.files - job.done_before)
         every = chain([] if first is None else [first], outcomes)
         for outcome in with_progress(left, left.counted(every)):
             decoded += 1

@@ -32,19 +32,6 @@ if TYPE_CHECKING:
     from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import Reading
 
-    MakeOutput = Callable[
-        [
-            TextIO,
-            str,
-            Callable[[TextIO], Printer],
-            EventChoice,
-            Where,
-            int | None,
-            SortKey | None,
-        ],
-        "RecordOutput",
-    ]
-
 _STANDARD_OUTPUT_NAME = "standard output"
 
 
@@ -225,7 +212,7 @@ def open_output(
     order: SortKey | None = None,
     overwrite: bool = False,
     in_place: bool = False,
-    make_output: MakeOutput | None = None,
+    make_output: Callable[..., RecordOutput] | None = None,
     is_summed: bool = True,
     if_interrupted: str = NOTHING_WRITTEN,
     points: str | None = None,

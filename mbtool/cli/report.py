@@ -21,11 +21,12 @@ from mbtool.cli.options import (
 )
 from mbtool.cli.output_file import report_kept, report_left
 from mbtool.cli.output_path import demand_new, demand_other_file, named_file
-from mbtool.cli.progress import Files, with_progress
+from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import say
 from mbtool.core import InputError, UsageError
 from mbtool.core.moments import counted
 from mbtool.workflows.shared.named_files import is_folder, named_files
+from mbtool.workflows.shared.read_all import CountedWork
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ def _write_folder(
     from mbtool.views.report.folder_page import LEVELS, UNREAD
     from mbtool.workflows.report_folder import page_of
 
-    work = Files(len(files))
+    work = CountedWork(len(files))
     with report_left(path):
         demand_new(path, overwrite=overwrite)
         found = list(with_progress(work, work.counted(verdicts)))
