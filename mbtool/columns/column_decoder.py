@@ -73,8 +73,9 @@ class DecodedBlock:
 
     plain: PlainRows | None = None
     records: list[tuple[int, Record]] = field(default_factory=list)
-    """The transactions and events from the Decoder, each with its sort key (`order_of`). A
-    transaction in `plain` has the key that `order_of` gives for the packet of its response."""
+    """The transactions and events from the Decoder, each with its sort key (`result_sort_keys`). A
+    transaction in `plain` has the key that `result_sort_keys` gives for the packet of its
+    response."""
     passed: PassedConnections | None = None
     """The connections that were read from arrays as a whole, from SYN to FIN; None if there are
     none. `records` lacks their opening and closing events."""
@@ -108,7 +109,7 @@ class DecodedBlock:
         return max(found)[1] if found else None
 
 
-def order_of(packets: Int64s) -> Int64s:
+def result_sort_keys(packets: Int64s) -> Int64s:
     """Return, for each index of a packet in the block, the sort key of the results that the
     packet's bytes complete.
     """

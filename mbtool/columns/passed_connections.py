@@ -55,7 +55,7 @@ class PassedConnections:
 
     def events(self) -> list[tuple[int, Record]]:
         """Return the opening and the closing event of each connection, each with its sort key among
-        the results of the block (`order_of`).
+        the results of the block (`result_sort_keys`).
         """
         packets = enumerate(self.opened.tolist())
         found: list[tuple[int, Record]] = [(2 * at + 1, self.opening(one)) for one, at in packets]

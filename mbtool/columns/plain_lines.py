@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from mbtool.columns.arrays import pieces
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
@@ -128,7 +128,7 @@ class BlockLines:
         outcomes = Counter({Outcome.OK: len(chosen) - refused, Outcome.EXCEPTION: refused})
         if not (lines or unusual):
             return LineBatch("".join(usual_lines), outcomes, made)
-        places = order_of(plain.response)
+        places = result_sort_keys(plain.response)
         lines += [self._line_of(one) for one in unusual] + usual_lines
         places = np.concatenate([np.array(order, np.int64), places[others], places[chosen]])
         # Several rows may have one packet: they stay in their order.
