@@ -377,7 +377,7 @@ class CommandTable(Mapping[str, Any]):
 
 
 def _docstring(name: str, module: str) -> str | None:
-    """Return the docstring of the function of a command; None if it is none."""
+    """Return the docstring of the function of a command; None if it has none."""
     full = f"{__package__}.{module}"
     compiled = SourceFileLoader(full, str(Path(__file__).with_name(f"{module}.py"))).get_code(full)
     for code in () if compiled is None else compiled.co_consts:

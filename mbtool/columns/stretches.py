@@ -220,7 +220,7 @@ def _join_split_requests(payloads: _Payloads, data: Octets) -> tuple[_Payloads, 
 
 def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.NDArray[np.void]]:
     """Return two arrays with an element per payload: True if the payload is one whole Modbus/TCP
-    ADU; its first 8 bytes as MBAP header and function code, even if they are none.
+    ADU; its first 8 bytes as MBAP header and function code, even if they are something else.
 
     Payload i has `size[i]` bytes from the offset `begin[i]` on in `data`.
     """

@@ -123,8 +123,8 @@ ENOUGH_WAITS = 3
 """The number of about equal waits (WAIT_TOLERANCE) from which on they count as the master's
 time-out."""
 WAIT_TOLERANCE = 0.15
-"""Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
-RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
+"""Two waits of a master count as equal if they differ by at most this share (0 to 1). ENOUGH_WAITS
+equal ones among the last RECENT_WAITS waits show its time-out."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 

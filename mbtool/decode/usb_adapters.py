@@ -119,7 +119,7 @@ class _Port:
     """The error bits in the last status that the FTDI adapter sent."""
 
     def format(self) -> SerialFormat | None:
-        """The line's settings; None if they were not seen, or are none of Modbus."""
+        """The line's settings; None if no settings were seen, or if Modbus does not allow them."""
         if self.baud is None:
             return None
         try:

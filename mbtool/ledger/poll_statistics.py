@@ -36,8 +36,8 @@ object. It stays empty."""
 
 
 class RetryChange(NamedTuple):
-    """The times (UTC ns) of the requests of a poll that a new request shows to be retries, or to be
-    none.
+    """The times (UTC ns) of the requests of a poll that count as retries, or no longer count as
+    retries, because of a new request.
     """
 
     found: Sequence[int] = ()

@@ -14,8 +14,8 @@
 # One thread sends and receives: it waits in `receive` until bytes come or the timeout is over.
 #
 # Memory: one incomplete ADU, and the numbers of pending and of lost requests, at most
-# MAX_OPEN_REQUESTS of each; the oldest is forgotten first. Of bytes that are no response, the last
-# MAX_UNREAD pieces since the last request are kept.
+# MAX_OPEN_REQUESTS of each; the oldest is forgotten first. The last MAX_UNREAD pieces of bytes that
+# belong to no response are kept until the next request.
 
 from __future__ import annotations
 

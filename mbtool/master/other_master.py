@@ -70,8 +70,8 @@ polls; then it counts as lost."""
 _STOPPED = 1.5
 """A poll is no longer waited for if it was not heard for this many times its longest period."""
 FEW_BYTES = 8
-"""Fewer bytes than this, without a frame with a correct CRC among them, are taken for noise and not
-for another master."""
+"""Fewer bytes than this count as noise, not as another master, if they have no frame with a correct
+CRC."""
 _NAMED = 3
 """An error names at most this many polls of the other master."""
 

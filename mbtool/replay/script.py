@@ -46,7 +46,8 @@ class Step:
     unit: int
     pdu: bytes
     expected: bytes | None
-    """The PDU of the recorded response; None if there was none, or if the capture lost it."""
+    """The PDU of the recorded response; None if the slave sent no response, or if the capture lost
+    it."""
     latency_ns: int | None
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool

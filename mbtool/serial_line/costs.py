@@ -281,8 +281,8 @@ DAMAGED_OTHER_SIZE = 3.0
 """Extra cost, in bits, of a damaged frame that lost bytes, or whose size only the silences around
 it tell."""
 ONE_WRONG_BIT = 2.0
-"""The cost, in bits, of a damaged frame whose CRC becomes correct by changing one bit. Of 400
-frames of 20 bytes with any other damage, one would show this by chance."""
+"""The cost, in bits, of a damaged frame whose CRC becomes correct by changing one bit. By chance,
+one in 400 frames of 20 bytes with any other damage would show this, too."""
 ONE_WRONG_BIT_PER_BYTE = 0.1
 """Extra cost, in bits, of each byte of a frame with one wrong bit: in a longer frame, more bits
 could by chance make the CRC correct."""

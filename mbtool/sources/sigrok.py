@@ -232,8 +232,8 @@ class _Recording:
     def heads(self) -> dict[int, _Head]:
         """Return the beginning of each channel, by the channel's number.
 
-        Reading stops at the block of samples in which a channel exceeds LOOKED_AT edges. Of that
-        channel only the first LOOKED_AT edges are returned.
+        Reading stops at the block of samples in which a channel exceeds LOOKED_AT edges. Only the
+        first LOOKED_AT edges of that channel are returned.
         """
         heads: dict[int, _Head] = {}
         for block in self.blocks(self.channels):

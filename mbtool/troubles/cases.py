@@ -61,7 +61,8 @@ class Cases(Sense):
     def __init__(self) -> None:
         self._failed: dict[tuple[str, int, Outcome], list[Evidence]] = {}
         self._slow: dict[PollKey, list[_SlowAnswer]] = {}
-        """By poll, a heap of its slowest answers. Of equally slow ones the first are kept."""
+        """By poll, a heap of its slowest answers. If several answers are equally slow, the first
+        are kept."""
         self._number = 0
         """The number of slow answers that were kept so far."""
         self._damaged: dict[str, list[Evidence]] = {}

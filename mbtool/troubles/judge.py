@@ -193,7 +193,9 @@ class Judge:
 
     @property
     def norm_remark(self) -> str | None:
-        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        """A sentence for the user if the baseline could not be used; None if it was used, or if
+        there is no baseline.
+        """
         return self._values.norm_remark
 
     def end_capture(self) -> Iterator[Finding]:

@@ -238,7 +238,9 @@ class ValueFaults(Sense):
 
     @property
     def norm_remark(self) -> str | None:
-        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        """A sentence for the user if the baseline could not be used; None if it was used, or if
+        there is no baseline.
+        """
         if self._overlaps:
             return (
                 "the baseline and the checked captures have the same times; values with the same "

@@ -69,7 +69,7 @@ class Seen(NamedTuple):
 
 
 def parse_seen(text: str) -> Seen:
-    """Read one number. Raises UsageError if the text is none."""
+    """Read one number. Raises UsageError if the text is no number."""
     name, _, rest = text.rpartition("=")
     match = _SEEN.fullmatch(rest.strip())
     if match is None:
@@ -96,7 +96,7 @@ def _number(number: str, text: str) -> tuple[float, float]:
 
 
 def parse_time(text: str) -> SeenTime:
-    """Read the time at which something was seen. Raises UsageError if the text is none."""
+    """Read the time at which something was seen. Raises UsageError if the text is no time."""
     clock = _CLOCK.fullmatch(text.strip())
     if clock is None:
         return SeenTime(parse_moment(text.strip(), "time"))

@@ -1,7 +1,7 @@
 """Collects the values of one register or point over time, in bounded memory."""
 
 # Only changes of the value are stored. If there are more than `limit`, the time is divided into
-# equal parts. Of each part, only the first, least, greatest and last value are kept, so that no
+# equal parts. Only the first, least, greatest and last value of each part are kept, so that no
 # extreme is lost.
 
 from __future__ import annotations

@@ -18,7 +18,7 @@
 # Memory: MAX_TARGETS targets that are not known to be polled, and as many that are. If there are
 # more, the oldest target not known to be polled is counted as never polled. For each of at most
 # MAX_ENTRIES scopes (sliding_window.py): the times of recent cases (sliding_window.py), and as many
-# targets as the rule's limit says. Of each target, the packets of MAX_PACKETS requests.
+# targets as the rule's limit says. Each target has the packets of MAX_PACKETS requests.
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _Target = tuple[_Scope, Hashable]
 
 @dataclass(slots=True)
 class Attempts:
-    """The requests of a master to one target that it does not poll, as far as is known by now.
+    """The requests of a master to one target that it has not been found to poll.
 
     A target is an IP address, unit, function or register.
     """
@@ -301,7 +301,7 @@ class Unpolled(Generic[R]):
         """Count all targets (IP addresses, units ...) that are not known to be polled.
 
         Call this method at the end of the capture. `is_too_short` tells of the requests of a source
-        to a target whether the capture is too short to know if the source polls it.
+        to a target whether the capture is too short to know whether the source polls it.
         """
         left, self._attempts = self._attempts, OrderedDict()
         all_things, ordinary = Counter[_Scope](), Counter[_Scope]()

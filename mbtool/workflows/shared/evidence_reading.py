@@ -279,7 +279,7 @@ def read_evidence(
 ) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the packets, chunks and events of the files in order, without decoding them.
 
-    Of a cut or damaged file, yield those before the damage, and raise no error.
+    If a file is cut or damaged, yield those before the damage, and raise no error.
     """
     types = serial_types(options.line)
     for path in paths:
