@@ -136,7 +136,7 @@ class _Device:
     """The maker of the adapter; None as long as nothing shows that the device is an adapter."""
     packet_size: int | None = None
     ports: defaultdict[int, _Port] = field(default_factory=lambda: defaultdict(_Port))
-    """The ports by their number, from 0. Only FTDI's adapters have several."""
+    """The ports of the adapter by their number, from 0. Only FTDI's adapters have several."""
 
 
 class UsbAdapters:

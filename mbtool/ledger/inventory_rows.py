@@ -119,8 +119,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     unanswered: int = 0
     """The number of requests that got no response, or only a gateway's exception response."""
     unreached: int = 0
-    """Those of `unanswered` that a gateway answered with an exception, because it could not reach
-    the unit."""
+    """The number of requests in `unanswered` that a gateway answered with an exception, because it
+    could not reach the unit."""
     exceptions: dict[int, int] = {}
     """The number of exception responses, by exception code. Exceptions of a gateway are among
     them."""

@@ -64,7 +64,7 @@ class UnitAccount:
     def __init__(self, key: UnitKey, first: NamedTransaction, bins: Row) -> None:
         self.key = key
         self.bins = bins
-        """Its requests over time, by UnitSum."""
+        """The requests of the unit over time, by UnitSum."""
         self.destination = first.destination
         """The host and port of the slave; None on a serial line."""
         self.transports: set[str] = set()
@@ -153,7 +153,7 @@ class UseAccount:
         self.name = name
         self.unit = unit
         self.master = master
-        """None on a serial line, and if there are too many masters."""
+        """The master; None on a serial line, and if there are too many masters."""
         self.tally = RequestTally()
         """The counts of transactions that have no poll: responses without a request, and all
         transactions of polls that were given up because there were too many."""

@@ -43,7 +43,7 @@ class _Seen(NamedTuple):
     """A datagram that came before."""
 
     digest: bytes
-    """The digest of its payload."""
+    """The digest of the datagram's payload."""
     number: int
     ts_ns: int
     interface: str

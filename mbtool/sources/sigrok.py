@@ -163,7 +163,7 @@ class _FoundFormat(NamedTuple):
     """The line settings that fit a recording."""
 
     format: SerialFormat | None
-    """None if no channel carries characters."""
+    """The line's format; None if no channel carries characters."""
     has_frames: bool
     """True if the characters are frames with correct CRCs."""
 

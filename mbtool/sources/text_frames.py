@@ -104,7 +104,7 @@ class TextFrame(NamedTuple):
     transport: Transport
     direction: Direction
     row: int
-    """The number of its line in the file, from 1."""
+    """The number, from 1, of the frame's line in the file."""
     is_whole: bool = True
     """False for bytes that only begin like a response; the log lacks the rest."""
 

@@ -44,7 +44,7 @@ class Character(NamedTuple):
     """The number of the sample at which its start bit begins."""
     byte: int
     is_wrong: bool
-    """True if its parity or its stop bit is wrong."""
+    """True if the parity or the stop bit of the character is wrong."""
 
 
 class UartChannel:

@@ -109,7 +109,7 @@ class _StrayLine:
     piece_ns: int | None = None
     """The time (ns) of the last piece; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
-    """The number of pieces by their first two bytes."""
+    """The number of pieces, by the first two bytes of the piece."""
     own_heads: set[bytes] = field(default_factory=set)
     """The first two bytes of known frames: pieces that begin with the same bytes may be damaged
     frames."""

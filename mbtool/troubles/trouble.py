@@ -31,7 +31,7 @@ class Sureness(StrEnum):
     """How sure the cause of a trouble is."""
 
     CERTAIN = "certain"
-    """The recording proves it."""
+    """The recording proves the trouble."""
     LIKELY = "likely"
     """No other cause that is known fits the recording as well."""
     POSSIBLE = "possible"

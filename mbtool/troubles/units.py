@@ -228,7 +228,8 @@ class _JudgedUnit:
     tally: RequestTally
     polls: Sequence[PollStatistics]
     times: UnitAccount | None
-    """None if the recording has no times, or if the unit never answers."""
+    """The times of the unit's requests; None if the recording has no times, or if the unit never
+    answers."""
     is_serial: bool
 
     def trouble(self, code: str, share: FailedShare, **figures: str) -> Trouble:

@@ -539,9 +539,9 @@ class ChangedPlace:
     """All numbers that it had before, in their order; for a text none."""
     after: Sequence[float]
     likelihood: float
-    """The probability that it is the one setting that was changed."""
+    """The probability (0 to 1) that this place is the one setting that was changed."""
     is_written: bool
-    """True if a master wrote it."""
+    """True if a master wrote this place."""
 
 
 def find_changed(slaves: Sequence[WordsOfSlave], begin_ns: int, end_ns: int) -> list[ChangedPlace]:

@@ -181,7 +181,7 @@ class WordHistory(NamedTuple):
     answers: int = 0
     """Number of answers (or writes) that had these registers; 0 if it is that of the rows."""
     is_written: bool = False
-    """True if a master writes them; False if it reads them."""
+    """True if a master writes the registers; False if it reads them."""
     is_asked: bool = True
     """False if the range is put together, and no request asks for just it."""
 

@@ -98,7 +98,7 @@ class Result(StrEnum):
 
     PASSED = "passed"
     NOTE = "note"
-    """It deviates in a way that the standard allows, or that many devices share."""
+    """The slave deviates in a way that the standard allows, or that many devices share."""
     FAILED = "failed"
 
 

@@ -71,11 +71,11 @@ class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     unit: _Unit
     sign: str
-    """The answer that it gave, as a table shows it."""
+    """The unit's answer that showed that it exists, as a table shows it."""
     answer: str = ""
     """The bytes of this answer from its unit on, in hexadecimal, without the unit."""
     identity: list[str] = []
-    """Its answers to 2B/0E, each as `name: text`."""
+    """The unit's answers to 2B/0E, each as `name: text`."""
     is_any: bool = False
     """True if the device gives the same answers under every unit number."""
 

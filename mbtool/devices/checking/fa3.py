@@ -93,7 +93,7 @@ class _Third:
     others: tuple[str, ...]
     """The master's HOST:PORT of the connections beside it."""
     silent: str
-    """The connection among them that was silent longest."""
+    """The other connection that was silent longest."""
 
 
 @dataclass(slots=True)
@@ -115,7 +115,7 @@ class _Module:
     flags: dict[int, int] = field(default_factory=dict)
     """By channel, from 0, its conversion completion flag as it was read last."""
     alarm: int = 0
-    """The value of RWr1 as it was read last."""
+    """The value that the last read of RWr1 returned."""
     model: int | None = None
     """The model code that was reported last."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))

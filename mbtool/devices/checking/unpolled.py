@@ -304,14 +304,14 @@ class Unpolled(Generic[R]):
         to a target whether the capture is too short to know whether the source polls it.
         """
         left, self._attempts = self._attempts, OrderedDict()
-        all_things, ordinary = Counter[_Scope](), Counter[_Scope]()
+        all_targets, ordinary = Counter[_Scope](), Counter[_Scope]()
         for (scope, _), one in left.items():
-            all_things[scope] += 1
+            all_targets[scope] += 1
             ordinary[scope] += one.is_answered_as_asked and is_too_short(str(scope[0]), one)
         for target, one in sorted(left.items(), key=lambda item: item[1].at_ns):
             scope, most = target[0], self._most_ordinary
-            is_plant = 2 * ordinary[scope] > all_things[scope]
-            if not is_plant or (most is not None and all_things[scope] > most):
+            is_plant = 2 * ordinary[scope] > all_targets[scope]
+            if not is_plant or (most is not None and all_targets[scope] > most):
                 self._settle(target, one)
 
     def _settle(self, target: _Target, attempts: Attempts) -> None:
