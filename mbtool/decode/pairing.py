@@ -44,10 +44,10 @@ from mbtool.decode.transactions import (
     Ends,
     broadcast,
     capture_ended,
-    doubted,
     late,
     no_answer,
     unsolicited,
+    with_pair_confidence,
     with_response,
 )
 from mbtool.decode.unanswered_counts import UnansweredCounts
@@ -308,7 +308,9 @@ class Pairing:
         is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [
-            doubted(unsolicited(self._ends, response, outcome), EVEN_ODDS if is_doubted else 1.0)
+            with_pair_confidence(
+                unsolicited(self._ends, response, outcome), EVEN_ODDS if is_doubted else 1.0
+            )
         ]
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
@@ -428,7 +430,7 @@ class Pairing:
         retries = self._unanswered.take(request) if self._unanswered else 0
         done = with_response(self._ends, request, response, retries, ())
         if confidence < 1.0:
-            done = doubted(done, confidence)
+            done = with_pair_confidence(done, confidence)
         return late(done) if is_late else done
 
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:

@@ -163,10 +163,10 @@ def no_answer(ends: Ends, request: Adu, retries: int, confidence: float = 1.0) -
     `retries` is the number of unanswered requests before it with the same unit and PDU.
     `confidence` (0 to 1) tells how surely the capture has no response to it.
     """
-    return doubted(_alone(ends, request, Outcome.NO_ANSWER, retries), confidence)
+    return with_pair_confidence(_alone(ends, request, Outcome.NO_ANSWER, retries), confidence)
 
 
-def doubted(transaction: Transaction, confidence: float) -> Transaction:
+def with_pair_confidence(transaction: Transaction, confidence: float) -> Transaction:
     """Return the transaction with a pair confidence; it is ambiguous if that is below SURE."""
     if confidence >= 1.0:
         return transaction

@@ -11,7 +11,7 @@ from enum import StrEnum
 import msgspec
 
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.ledger.inventory_ranges import AddressRange, joined
+from mbtool.ledger.inventory_ranges import AddressRange, joined_ranges
 
 INVENTORY_FORMAT = "mbtool-inventory-1"
 
@@ -62,7 +62,7 @@ class FunctionUse(msgspec.Struct, kw_only=True):
 
     @property
     def all_ranges(self) -> list[AddressRange]:
-        return joined((self.ranges, self.refused))
+        return joined_ranges((self.ranges, self.refused))
 
 
 class IdentityText(msgspec.Struct, frozen=True, kw_only=True):

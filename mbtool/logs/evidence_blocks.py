@@ -57,7 +57,7 @@ def is_joinable(chunk: Chunk) -> bool:
     return is_read and 0 <= chunk.ts_ns < MAX_TIME_NS
 
 
-def joined(reads: list[Chunk]) -> bytes:
+def pack_reads(reads: list[Chunk]) -> bytes:
     """Pack 1 to MAX_READS reads of one line into a message; each must satisfy `is_joinable`."""
     times = [read.ts_ns for read in reads]
     waits = [0, *(after - before for before, after in pairwise(times))]
@@ -76,7 +76,7 @@ def joined(reads: list[Chunk]) -> bytes:
     return message
 
 
-def separated(message: bytes) -> list[Chunk]:
+def unpack_reads(message: bytes) -> list[Chunk]:
     """Unpack the reads of a message, at least one.
 
     Raises ValueError if `joined` did not make the message.

@@ -40,7 +40,7 @@ from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage, ImpossibleItems
-from mbtool.logs.evidence_blocks import separated
+from mbtool.logs.evidence_blocks import unpack_reads
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import (
     EVIDENCE_ONLY,
@@ -252,7 +252,7 @@ class MessageDecoder:
         Raises one of _NOT_DECODABLE if a message is damaged.
         """
         if schema == schemas.EVIDENCE:
-            return [separated(data) for data in raw]
+            return [unpack_reads(data) for data in raw]
         array = b"[" + b",".join(raw) + b"]"
         found: list[Any]
         if schema == schemas.CHUNK and _OF_A_PACKET not in array:
@@ -315,7 +315,7 @@ class MessageDecoder:
                 decoder.decode(data)
                 return schema
         with suppress(ValueError):
-            separated(data)
+            unpack_reads(data)
             return schemas.EVIDENCE
         return ""
 
@@ -325,7 +325,7 @@ class MessageDecoder:
 
 def _items_of(schema: str, data: bytes) -> list[LogItem]:
     if schema == schemas.EVIDENCE:
-        return [*separated(data)]
+        return [*unpack_reads(data)]
     message = _DECODERS[schema].decode(data)
     return [message if schema in _ARE_ITEMS else message.item()]
 

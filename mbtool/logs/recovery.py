@@ -28,7 +28,7 @@ from mbtool.logs.chunks import records_in
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
-from mbtool.logs.evidence_blocks import separated
+from mbtool.logs.evidence_blocks import unpack_reads
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import (
     DATA_END_SIZE,
@@ -40,7 +40,7 @@ from mbtool.logs.layout import (
     RECOVERED,
     Opcode,
     data_end,
-    packed,
+    pack_records,
 )
 from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
@@ -138,7 +138,7 @@ class Recovery:
         head = self._head()
         file = create_file(path, replace=replace)
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
-        target = CompleteFile(file, str(path), MAGIC + packed(header))
+        target = CompleteFile(file, str(path), MAGIC + pack_records(header))
         try:
             self._container = Container(target)
             for record in head:
@@ -280,7 +280,7 @@ class Recovery:
                     link = "" if name in _SHARED else message.link
                     return self._topic(topic_name(link, _KINDS[name]), schemas.schema_of(name))
         with suppress(ValueError):
-            kind = topic_name(separated(data)[0].link, "evidence")
+            kind = topic_name(unpack_reads(data)[0].link, "evidence")
             return self._topic(kind, schemas.schema_of(schemas.EVIDENCE))
         return None
 

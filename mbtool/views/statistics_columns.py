@@ -132,12 +132,12 @@ def _line(
     *,
     is_cut: bool,
 ) -> str:
-    first = shortened(row.first, room) if is_cut else printable(row.first)
+    first = shorten(row.first, room) if is_cut else printable(row.first)
     cells = [row.cells[at].rjust(columns[at].width) for at in kept]
     return " ".join((first.ljust(room), *cells)).rstrip()
 
 
-def shortened(text: str, room: int | None) -> str:
+def shorten(text: str, room: int | None) -> str:
     """Return a text of at most `room` characters; a longer text is cut and ends in `..`.
 
     With `room` None, as on a pipe, no text is cut.

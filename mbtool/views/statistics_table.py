@@ -24,7 +24,7 @@ from mbtool.views.statistics_columns import (
     more_line,
     per_second,
     poll_text,
-    shortened,
+    shorten,
     table_lines,
     wrapped,
 )
@@ -162,7 +162,7 @@ def _polls_repeated_in_cycle(one: PollList[PollStatistics], width: int | None) -
     if not one.repeated:
         return []
     texts = "; ".join(f"{poll_text(poll)} x{one.polls.count(poll)}" for poll in one.repeated)
-    return [StyledLine(shortened(f"  more than once a cycle: {texts}", width), "yellow")]
+    return [StyledLine(shorten(f"  more than once a cycle: {texts}", width), "yellow")]
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
@@ -178,7 +178,7 @@ def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> 
             between = sorted(master.lists.between.items(), key=lambda one: -one[1])
             if between and master.lists.lists:
                 texts = ", ".join(f"{poll_text(poll)} x{count:,}" for poll, count in between)
-                lines.append(StyledLine(shortened(f"in no cycle{of}{at}: {texts}", width)))
+                lines.append(StyledLine(shorten(f"in no cycle{of}{at}: {texts}", width)))
     if len(links) == len(links[0].masters) == 1:
         timeout_ns = links[0].masters[0].lists.timeout_ns
         if timeout_ns is not None:
@@ -484,7 +484,7 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
         if width is not None and len(text) + len(other) + 2 > width:
             break
         text = f"{text}; {other}"
-    return [StyledLine(shortened(text, width))]
+    return [StyledLine(shorten(text, width))]
 
 
 def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:

@@ -28,7 +28,7 @@ from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.troubles.broken_rules import Summaries, where
 from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
-from mbtool.values.value_series import ValueSeries, thinned
+from mbtool.values.value_series import ValueSeries, thin_samples
 from mbtool.values.values import Values
 from mbtool.views.advice_lines import advice_lines
 from mbtool.views.differences import what_text
@@ -390,7 +390,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
                 "texts": [[value, text] for value, text in one.texts.items()],
                 "samples": [
                     [(sample.ts_ns - begin_ns) // 1_000_000, sample.value]
-                    for sample in thinned(one.samples, most)
+                    for sample in thin_samples(one.samples, most)
                 ],
             }
             for key, one in moving.items()
