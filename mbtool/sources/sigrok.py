@@ -81,10 +81,10 @@ or stop bit."""
 _MOST_TRIED = 3000
 """The most characters of a channel that are cut into frames to find the line's settings and its
 channels."""
-_FEW = 20
+_MIN_CHARACTERS = 20
 _LEAST_KINDS = 3
-"""A channel with _FEW characters or more counts as carrying characters only if at least this many
-different byte values occur: a clock signal looks like one character that repeats."""
+"""A channel with _MIN_CHARACTERS characters or more counts as carrying characters only if at least
+this many different byte values occur: a clock signal looks like one character that repeats."""
 _SAME = 0.9
 """A channel counts as a copy of another one if at least this share of its characters (0 to 1) is in
 the other one at the same time."""
@@ -453,7 +453,7 @@ def _are_sent(found: Sequence[Character]) -> bool:
     """True if a UART probably sent these characters: few are wrong, and they are not all alike."""
     if not found or wrong_share(found) > _MAX_WRONG:
         return False
-    return len(found) < _FEW or len({one.byte for one in found}) >= _LEAST_KINDS
+    return len(found) < _MIN_CHARACTERS or len({one.byte for one in found}) >= _LEAST_KINDS
 
 
 def _repeats(one: Sequence[Character], other: Sequence[Character], tolerance: float) -> bool:

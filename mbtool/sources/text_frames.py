@@ -29,8 +29,8 @@
 # and the next frame is another request, the log lacks the rest. Then a frame with `is_whole` False
 # is returned, since the slave was not silent.
 #
-# A log counts as Modbus once it has given enough evidence (ENOUGH). Earlier frames are held until
-# then.
+# A log counts as Modbus once it has given enough evidence (ENOUGH_EVIDENCE). Earlier frames are
+# held until then.
 #
 # Memory: MAX_HELD frames, and MAX_LABELS labels with at most MAX_PART bytes each.
 
@@ -68,7 +68,7 @@ MAX_BEGINS = 8
 bytes, and of the first piece since the last frame."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
-ENOUGH = 4
+ENOUGH_EVIDENCE = 4
 """The evidence from which on a log is taken for Modbus. A request with its response right behind it
 is enough; an RTU frame counts 2 if a word or arrow gives it a direction, otherwise 1; a frame of
 another kind counts 1 if it has a direction, and 1 if its transaction id is the next one. A frame
@@ -389,8 +389,8 @@ class TextFrames:
             weight = _weight(transport, form, is_marked) + is_next
             self._has_marked |= weight >= _MARKED
             is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
-            self._evidence += ENOUGH if is_pair and form and not is_echo else weight
-            self.is_modbus = self._evidence >= ENOUGH
+            self._evidence += ENOUGH_EVIDENCE if is_pair and form and not is_echo else weight
+            self.is_modbus = self._evidence >= ENOUGH_EVIDENCE
             if not self.is_modbus:
                 self._held += [frame] if begun is None else [begun, frame]
                 return []

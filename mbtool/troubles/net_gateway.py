@@ -16,9 +16,9 @@ answers.
 #              answered before the one that it waited for. A server that handles requests in
 #              parallel shows no such rise.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
-#              and this request came SLOW_NS or more after the first one: the master had given the
-#              first one up. Nearly always it waited equally long. Masters that pipeline send
-#              requests at any time, so they are left out.
+#              and this request came SHORTEST_TIMEOUT_NS or more after the first one: the master
+#              had given the first one up. Nearly always it waited equally long. Masters that
+#              pipeline send requests at any time, so they are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
 # often, so none is the cause. A request that is answered before a slow one did not wait for it. A
@@ -26,9 +26,9 @@ answers.
 # of its cycle do not wait for each other (SERVED_NS). Waits for a unit that is much slower than the
 # others (SLOWER) are that unit's fault, and do not count.
 #
-# Memory: KEPT slow requests, and KEPT requests that may wait, for each of at most MAX_LINKS links;
-# the last RECENT requests and a few numbers for each of at most MAX_LINKS connections; MAX_EVIDENCE
-# cases for each unit.
+# Memory: KEPT_REQUESTS slow requests, and KEPT_REQUESTS requests that may wait, for each of at most
+# MAX_LINKS links; the last RECENT requests and a few numbers for each of at most MAX_LINKS
+# connections; MAX_EVIDENCE cases for each unit.
 
 from __future__ import annotations
 
@@ -52,8 +52,10 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 SLOW_NS = 300_000_000
-"""Requests that take at least this long (ns), or get no answer, are kept for NET-BLOCKED. A next
-request that comes at least this long after a late one is a sign of NET-LATE."""
+"""Requests that take at least this long (ns), or get no answer, are kept for NET-BLOCKED."""
+SHORTEST_TIMEOUT_NS = 300_000_000
+"""If the next request comes at least this long (ns) after one without an answer so far, the master
+may have given that one up: a sign of NET-LATE."""
 LONGEST_NS = 10_000_000_000
 """A request that ends later than this (ns) after it was sent does not block the requests after
 it."""
@@ -94,7 +96,7 @@ waited for) to its answer is at least this long (ns)."""
 SLOWER = 2.5
 """A unit whose median time from turn to answer is at least this many times that of the other units
 is slow by itself: requests that wait for it do not count for NET-SHARED."""
-KEPT = 5000
+KEPT_REQUESTS = 5000
 """At most this many slow requests, and this many requests that may wait, are kept for each link;
 beyond it, the oldest is forgotten."""
 RECENT = 8
@@ -160,7 +162,7 @@ class _SharedLink:
     """The master that was heard first."""
     masters: set[str] = field(default_factory=set)
     """All masters, once there are two."""
-    waiting: deque[_SlowRequest] = field(default_factory=lambda: deque(maxlen=KEPT))
+    waiting: deque[_SlowRequest] = field(default_factory=lambda: deque(maxlen=KEPT_REQUESTS))
 
 
 @dataclass(slots=True)
@@ -239,7 +241,7 @@ class Gateways(Sense):
         if kept is None:
             if len(self._slow) >= MAX_LINKS:
                 return
-            kept = self._slow[link] = deque(maxlen=KEPT)
+            kept = self._slow[link] = deque(maxlen=KEPT_REQUESTS)
         kept.append(slow)
 
     def _note_overlap(self, one: NamedTransaction) -> None:
@@ -262,7 +264,7 @@ class Gateways(Sense):
                 waited_ns = second.start_ns - first.start_ns
                 if len(connection.late) < MAX_EVIDENCE:
                     connection.overlaps += 1
-                    if waited_ns >= SLOW_NS:
+                    if waited_ns >= SHORTEST_TIMEOUT_NS:
                         connection.late.append((first, waited_ns))
         connection.recent.append((begin_ns, one))
 

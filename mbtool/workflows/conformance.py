@@ -69,7 +69,10 @@ many times: a slave on a busy computer may not see the pause."""
 _PAUSE_TRIES = 8
 """An answer counts as one with a pause inside only if it has the pause each of this many times, as
 a busy machine makes pauses, too: with 3 times, a machine with 22 processes for 2 cores made a false
-one. A request with a pause inside is sent at most this many times."""
+one."""
+_TORN_TRIES = 8
+"""A frame with a pause inside is sent at most this many times: again after a pause that this
+machine made too long, and after a wrong answer."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
 _ASCII_PAUSE_NS = 500_000_000
@@ -415,7 +418,7 @@ class Conformance:
         and it is sent again.
         """
         judged = 0
-        for _ in range(_PAUSE_TRIES):
+        for _ in range(_TORN_TRIES):
             heard = self._wire.send(halves, pause_ns, awaited=note is None)
             is_right = _is_right(heard, self._good) if note is None else not heard.raw
             lasting = self._lasting_problem(forgiven=1)
