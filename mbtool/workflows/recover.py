@@ -33,7 +33,7 @@ def recover(
     """
     check_log_path(good, overwrite=replace)
     with suppress(OSError, ValueError):
-        if os.path.samefile(broken, good):
+        if os.path.samefile(0 if broken == "-" else broken, good):
             raise UsageError(f"{good}: the damaged log itself; give the new one another name")
     with _open_log(broken) as capture:
         if capture.kind is not CaptureKind.MCAP:
