@@ -162,12 +162,9 @@ class ObservedSlave:
         if not 0 < transaction.function < EXCEPTION_BIT:
             return  # No device has such a function.
         for request, values in _requests(transaction):
-            replies = self.requests.get(request)
+            replies = self._replies(request)
             if replies is None:
-                if len(self.requests) >= MAX_REQUESTS:
-                    self.forgotten += 1
-                    continue
-                replies = self.requests[request] = Replies()
+                continue
             if transaction.exception is not None:
                 replies.exceptions[transaction.exception] += 1
             elif transaction.outcome in (Outcome.OK, Outcome.LATE, Outcome.UNSOLICITED):
@@ -177,6 +174,34 @@ class ObservedSlave:
                     self._sample(request, values, at_ns)
             elif transaction.outcome is not Outcome.NOT_CAPTURED:
                 replies.silent += 1
+
+    def note_usual(self, like: Transaction, address: int, quantity: int) -> bool:
+        """Add an answered read or write: one like `like`, with these addresses. Its values are not
+        sampled. Returns True if its request is a new one.
+        """
+        self.transactions += 1
+        if like.transport not in self.transports:
+            self.transports.add(like.transport.over_tcp)
+        code, function = like.function, FUNCTIONS[like.function]
+        before = len(self.requests)
+        replies = self._replies(
+            ObservedRequest(code, function.table, address, quantity, function.writes)
+        )
+        if replies is not None and like.exception is not None:
+            replies.exceptions[like.exception] += 1
+        elif replies is not None:
+            replies.ok += 1
+        return len(self.requests) > before
+
+    def _replies(self, request: ObservedRequest) -> Replies | None:
+        """Return the replies to a kind of request; None if there are too many kinds."""
+        replies = self.requests.get(request)
+        if replies is None:
+            if len(self.requests) >= MAX_REQUESTS:
+                self.forgotten += 1
+                return None
+            replies = self.requests[request] = Replies()
+        return replies
 
     def _sample(self, request: ObservedRequest, values: Sequence[int], at_ns: int) -> None:
         if request.table is None or request.table.is_bits:

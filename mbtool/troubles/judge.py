@@ -42,10 +42,9 @@ from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.checking.quiet_run import QuietRows
+    from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_reads import AnsweredReads
-    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.troubles.sense import Sense
 
@@ -225,7 +224,7 @@ class Judge:
             for sense in self._of_lines if record.transport.is_serial else self._of_networks:
                 sense.transaction(record)
 
-    def count_run(self, run: AnsweredRun, reads: Sequence[AnsweredReads] = ()) -> None:
+    def count_run(self, run: QuietRun, reads: AnsweredValues) -> None:
         """Count many answered requests of a network together. `reads` has their values."""
         for sense in self._senses:
             sense.run(run)

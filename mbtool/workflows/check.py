@@ -41,7 +41,6 @@ from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 if TYPE_CHECKING:
     from mbtool.columns.quiet_rows import BlockRows
     from mbtool.decode.decoder import Record
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
 
@@ -129,8 +128,6 @@ class CheckedRecord(NamedTuple):
     findings: list[FileFinding]
     rows: BlockRows | None = None
     """Many answered reads that were checked together, instead of a record; otherwise None."""
-    answered: AnsweredRun | None = None
-    """The same reads grouped by poll; None if there is no `rows`."""
     poll: PollStatistics | None = None
     """The poll that the transaction belongs to, in the account; None if it has none."""
     damaged_ns: int | None = None
@@ -159,16 +156,13 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
-        exceptions_apart: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account. With `exceptions_apart`, each
-        transaction whose response is an exception is a CheckedRecord of its own.
+        all. `on_retry` and `observes` are those of Account.
         """
-        self._exceptions_apart = exceptions_apart
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
@@ -291,9 +285,7 @@ class CheckRun:
 
     def _parts(self) -> Iterator[Record | BlockRows]:
         columns = self._columns if self._window.is_whole else None
-        if columns is None:
-            return self.reading.records()
-        return columns.quiet_parts(exceptions=not self._exceptions_apart)
+        return self.reading.records() if columns is None else columns.quiet_parts()
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:
@@ -357,9 +349,8 @@ class CheckRun:
             if isinstance(some, NamedTransaction | WireEvent):
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
-                answered = some.answered()
-                self._judge.count_run(answered, some.reads())
-                yield CheckedRecord(None, None, findings, some, answered)
+                self._judge.count_run(some.run, some.reads)
+                yield CheckedRecord(None, None, findings, some)
 
     def _check(self, record: Record) -> CheckedRecord:
         if self._lines is None:

@@ -120,11 +120,11 @@ class ColumnReading(Reading):
                     self._note(part)
                 yield part
 
-    def quiet_parts(self, *, exceptions: bool = True) -> Iterator[Record | BlockRows]:
+    def quiet_parts(self) -> Iterator[Record | BlockRows]:
         """Yield all transactions and events. Many answered reads and writes that break no rule come
-        together as one BlockRows; those with an exception as response only with `exceptions`.
+        together as one BlockRows.
         """
-        quiet = QuietParts(Namer(self.assignments), exceptions=exceptions)
+        quiet = QuietParts(Namer(self.assignments))
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)
