@@ -223,8 +223,18 @@ class _Vocabulary:
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)
         points = self._points_of(meaning, transaction)
-        findings = self._findings(meaning, transaction, points)
-        return self._named_transaction(transaction, meaning, points, findings)
+        fields = msgspec.structs.asdict(transaction)
+        if meaning.function_name is not None:
+            fields["function_name"] = meaning.function_name
+        if transaction.exception is not None and self.profile is not None:
+            fields["exception_name"] = self.profile.exception_name(transaction.exception)
+        fields["device"] = self._device
+        fields["reference"] = meaning.reference
+        fields["points"] = points
+        fields["findings"] = self._findings(meaning, transaction, points)
+        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
+            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
+        return NamedTransaction(**fields)
 
     def as_kind(self, named: NamedTransaction) -> NamedTransaction:
         """See Namer.as_kind."""
@@ -240,29 +250,6 @@ class _Vocabulary:
         return msgspec.structs.replace(
             named, reference=meaning.reference, points=[], findings=findings
         )
-
-    def _named_transaction(
-        self,
-        transaction: Transaction,
-        meaning: _Meaning,
-        points: list[PointValue],
-        findings: list[str],
-    ) -> NamedTransaction:
-        function_name, exception_name = transaction.function_name, transaction.exception_name
-        if meaning.function_name is not None:
-            function_name = meaning.function_name
-        if transaction.exception is not None and self.profile is not None:
-            exception_name = self.profile.exception_name(transaction.exception)
-        fields = msgspec.structs.asdict(transaction)
-        fields["function_name"] = function_name
-        fields["exception_name"] = exception_name
-        fields["device"] = self._device
-        fields["reference"] = meaning.reference
-        fields["points"] = points
-        fields["findings"] = findings
-        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
-            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
-        return NamedTransaction(**fields)
 
     def _findings(
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
