@@ -115,7 +115,7 @@ def mbtool_line() -> Iterator[MakesLine]:
 
     with ExitStack() as opened:
 
-        def make(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> mbtool.SerialBench:
+        def make(settings: str = "rtu", *, ends: int = 2) -> mbtool.SerialBench:
             return opened.enter_context(line(settings, ends=ends))
 
         yield make
@@ -132,7 +132,9 @@ def pytest_runtest_makereport(
     report = yield
     slaves = item.stash.get(_SLAVES, None)
     if report.failed and slaves and report.when != "teardown":
-        text = "\n".join(_kept(item, number, slave) for number, slave in enumerate(slaves, start=1))
+        text = "\n".join(
+            _save_traffic(item, number, slave) for number, slave in enumerate(slaves, start=1)
+        )
         report.sections.append(("Modbus traffic", text))
     return report
 
@@ -162,7 +164,7 @@ def _started(
     return cast("_Shell", slave)
 
 
-def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
+def _save_traffic(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
     """Write the traffic of a slave to a log, and return the slave's text for the test report.
 
     `number` is the slave's number in the test, from 1; it is part of the log's name.

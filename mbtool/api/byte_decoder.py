@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from mbtool.api.arguments import assignments_of
+from mbtool.api.arguments import Devices, assignments_of
 from mbtool.core import (
     Chunk,
     Connection,
     Direction,
     Endpoint,
+    LineSettings,
     Quiet,
     SerialLink,
     Stamp,
@@ -17,15 +16,10 @@ from mbtool.core import (
     parse_line,
 )
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.decode.decoder import Decoder
+from mbtool.decode.decoder import Decoder, Record
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer
 from mbtool.packets import StreamOpened
-
-if TYPE_CHECKING:
-    from mbtool.api.arguments import Devices
-    from mbtool.core import LineSettings
-    from mbtool.decode.decoder import Record
 
 _STREAMS = {"tcp": False, "rtu+tcp": True}
 _LINE, _HOST = "line", "slave"
@@ -38,7 +32,7 @@ class ByteDecoder:
     Bytes never raise: bytes that cannot be read become an event that contains them.
     """
 
-    def __init__(self, link: str = "rtu@19200-8E1", *, devices: Devices | None = None) -> None:
+    def __init__(self, link: str = "rtu", *, devices: Devices | None = None) -> None:
         """`link` says where the bytes come from.
 
         It is a serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",
@@ -53,7 +47,7 @@ class ByteDecoder:
         if link in _STREAMS:
             self._connection = Connection(Endpoint("master", 0), Endpoint(_HOST, MODBUS_PORT))
         else:
-            self._line = _settings(link).on(_LINE)
+            self._line = _settings(link).link_at(_LINE)
         self._decoder = Decoder(
             Namer(timing.assignments),
             lines={} if self._line is None else {_LINE: self._line},

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from mbtool.core import UsageError, parse_line
+from mbtool.core import LineSettings, UsageError, parse_line
 from mbtool.sources.virtual_line import VirtualLine
-
-if TYPE_CHECKING:
-    from mbtool.core import LineSettings
 
 
 class SerialBench:
@@ -30,7 +27,7 @@ class SerialBench:
         """
         if not 0 <= end < len(self.ports):
             raise UsageError(f"end {end}: the line has the ends 0 to {len(self.ports) - 1}")
-        return str(self._settings.on(self.ports[end]))
+        return str(self._settings.link_at(self.ports[end]))
 
     def __enter__(self) -> Self:
         self._line.__enter__()
@@ -40,7 +37,7 @@ class SerialBench:
         self._line.close()
 
 
-def line(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> SerialBench:
+def line(settings: str = "rtu", *, ends: int = 2) -> SerialBench:
     """Make a virtual serial line; characters take as long on it as on a real one.
 
     `ends` is the number of ports that it connects, all of which hear each other. It works on Linux

@@ -202,7 +202,7 @@ class Replay(ObservedShell):
         profiles = run.profile_of
         super().__init__(on, list({one.name: one for one in profiles.values()}.values()))
         self._monitor = monitor_of(None, self._spec, profiles)
-        played = run.on(
+        played = run.create_slave(
             self._spec,
             allowed=AllowedPeers.parse(allow),
             on_exchange=self._monitor.take,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,6 @@ from mbtool.cli.progress import with_progress
 from mbtool.core import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.printers import TablePrinter
     from mbtool.cli.talk import Interrupt
@@ -70,7 +69,7 @@ def print_columns(
             note(record)
 
     columns.on_block = note_block
-    with out.told_as_lost(), ExitStack() as ended:
+    with out.as_output_error(), ExitStack() as ended:
         processes = _processes(columns, out, jobs)
         if processes is not None:
             _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
@@ -107,7 +106,7 @@ def _print_runs(
     for part in with_progress(columns, parts):
         if isinstance(part, UsualRun):
             first = out.count(TransactionCounts(part.outcomes))
-            with out.told_as_lost():
+            with out.as_output_error():
                 printer.print_run(first, part)
         else:
             note(part)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, TimeoutOption, listen_ns
 from mbtool.cli.options import ListFormat
+from mbtool.cli.output_file import demand_writable
+from mbtool.cli.output_path import demand_new
+from mbtool.cli.talk import interruptible, say
+from mbtool.core import SerialLink, UsageError, parse_link
+from mbtool.core.limits import RESPONSE_TIMEOUT_S
+from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import counted
+from mbtool.core.numbers import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.workflows.conformance import CaseResult, TestReport
 
 _MOST_SHOWN = 32
@@ -55,12 +62,7 @@ def test(
             "slaves of the line.",
         ),
     ] = False,
-    timeout: Annotated[
-        float,
-        typer.Option(
-            "--timeout", metavar="S", min=0.001, max=60, help="How long to wait for an answer."
-        ),
-    ] = 1.0,
+    timeout: TimeoutOption = RESPONSE_TIMEOUT_S,
     repeat: Annotated[
         int, typer.Option("--repeat", metavar="N", min=1, help="Run all cases so often.")
     ] = 1,
@@ -83,13 +85,6 @@ def test(
     functions, wrong checks, torn frames, wrong headers. Writes nothing without --writes. Exit 1 if
     a case fails.
     """
-    from mbtool.cli.output_file import demand_writable
-    from mbtool.cli.output_path import demand_new
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import SerialLink, UsageError, parse_link
-    from mbtool.core.link_spec import ANSWERED
-    from mbtool.core.moments import counted
-    from mbtool.core.numbers import parse_unit
     from mbtool.devices import load_profile, parse_span
     from mbtool.master.wire import open_wire
     from mbtool.workflows.ask import transport_of
@@ -97,7 +92,7 @@ def test(
 
     spec = parse_link(link, ANSWERED)
     number = parse_unit(unit, "--unit")
-    known = load_profile(profile).in_mode(transport_of(spec))
+    known = load_profile(profile).with_limits_of(transport_of(spec))
     spans = [parse_span(text, [known]) for text in writes or ()]
     for text, span in zip(writes or (), spans, strict=True):
         if not span.table.is_writable:
@@ -169,7 +164,7 @@ def _bytes(raw: bytes) -> str:
 
 
 def _write(file: Path, suite: str, report: TestReport) -> None:
-    from mbtool.cli.output import told_as_lost
+    from mbtool.cli.output import as_output_error
     from mbtool.views.junit import Case, junit_xml
     from mbtool.workflows.conformance import Result
 
@@ -184,5 +179,5 @@ def _write(file: Path, suite: str, report: TestReport) -> None:
         )
         for one in report.cases
     ]
-    with told_as_lost(str(file)):
+    with as_output_error(str(file)):
         file.write_text(junit_xml(suite, cases), encoding="utf-8")

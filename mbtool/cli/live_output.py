@@ -8,17 +8,16 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.cli.output import RecordOutput, told_as_lost
+from mbtool.cli.output import RecordOutput, as_output_error
 from mbtool.cli.talk import say
 from mbtool.cli.view_queue import ViewQueue, unwaited
 from mbtool.core import OutputError
 from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.cli.options import EventChoice, SortKey
     from mbtool.cli.printers import Printer
     from mbtool.decode.decoder import Record
@@ -63,7 +62,7 @@ class LiveOutput(RecordOutput):
             self._write(self._printer.pause, self._file.flush)
 
     def finish(self) -> None:
-        self._tell_not_shown()
+        self._report_not_shown()
         self._write(self._printer.flush, self._file.flush, self._drain)
 
     def _print(self, record: Record, number: int) -> None:
@@ -73,10 +72,10 @@ class LiveOutput(RecordOutput):
         if self._queue is not None and self._queue.is_full:
             self._not_shown += 1
             return
-        self._tell_not_shown()
+        self._report_not_shown()
         self._write(lambda: self._printer.print(record, number))
 
-    def _tell_not_shown(self) -> None:
+    def _report_not_shown(self) -> None:
         count, self._not_shown = self._not_shown, 0
         if count:
             say(
@@ -96,7 +95,7 @@ class LiveOutput(RecordOutput):
         if not self._has_reader:
             return
         try:
-            with told_as_lost(self._name):
+            with as_output_error(self._name):
                 for write in writes:
                     write()
         except (BrokenPipeError, OutputError) as error:

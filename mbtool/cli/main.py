@@ -1,8 +1,8 @@
 """The entry of the command line: mbtool COMMAND."""
 
-# Each command has a file of its own, named by command_table.py. It imports other modules only when
-# it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
-# exit code.
+# Each command has a file of its own, named below. It imports modules that are slow to load only
+# when it runs, calls a workflow and prints the result. Only this file turns errors into a line and
+# an exit code.
 #
 # Python's collector of cyclic garbage runs less often than usual: a decoder makes many objects, and
 # few cycles among them. stats of a large file then takes 7 % less time.
@@ -18,7 +18,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
 from importlib.machinery import SourceFileLoader
@@ -26,7 +26,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from threading import Timer
 from types import CodeType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -39,9 +39,6 @@ from mbtool.cli.examples import examples_of, first_steps
 from mbtool.cli.talk import Interrupted, say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError, UsageError
 from mbtool.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
 """The errno values with which the system refuses to write to a file that is already open."""
@@ -198,7 +195,7 @@ def _open_standard_descriptors() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command, flush standard output, and return the exit code."""
-    code = _told(arguments)
+    code = _run_command(arguments)
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -211,7 +208,7 @@ def run(arguments: list[str]) -> int:
     return code
 
 
-def _told(arguments: list[str]) -> int:
+def _run_command(arguments: list[str]) -> int:
     """Run one command, print its error if it raises one, and return the exit code."""
     root = get_command(app)
     try:
@@ -426,7 +423,7 @@ def install(shell: str | None) -> None:
         return
     from typer._completion_shared import install as install_script
 
-    name = _named(INSTALL, shell)
+    name = _chosen_shell(INSTALL, shell)
     if name in ("powershell", "pwsh") and shutil.which(name) is None:
         raise UsageError(f"{INSTALL} {name}: there is no {name} on this machine")
     _, path = install_script(shell=name, prog_name=_PROGRAM, complete_var=COMPLETE)
@@ -439,13 +436,13 @@ def show(shell: str | None) -> None:
         return
     from typer._completion_shared import get_completion_script
 
-    name = _named(SHOW, shell)
+    name = _chosen_shell(SHOW, shell)
     script = get_completion_script(prog_name=_PROGRAM, complete_var=COMPLETE, shell=name)
     typer.echo(script)
     raise typer.Exit
 
 
-def _named(option: str, shell: str) -> str:
+def _chosen_shell(option: str, shell: str) -> str:
     """Return the name of the shell that the user named, or of the one in which mbtool runs.
 
     Raises UsageError if completion is not known for that shell.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -21,9 +22,6 @@ from mbtool.core.errors import reason_unwritten
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table
@@ -33,19 +31,6 @@ if TYPE_CHECKING:
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import Reading
-
-    MakeOutput = Callable[
-        [
-            TextIO,
-            str,
-            Callable[[TextIO], Printer],
-            EventChoice,
-            Where,
-            int | None,
-            SortKey | None,
-        ],
-        "RecordOutput",
-    ]
 
 _STANDARD_OUTPUT_NAME = "standard output"
 
@@ -123,7 +108,7 @@ class RecordOutput:
 
         assert isinstance(self._printer, ParquetPrinter)
         self.count(table_counts(table))
-        with told_as_lost(self._name):
+        with as_output_error(self._name):
             self._printer.print_table(table)
 
     def count(self, counts: TransactionCounts) -> int:
@@ -166,19 +151,19 @@ class RecordOutput:
     def add_text(self, lines: str) -> None:
         """Print lines of transactions without counting them; the caller calls `count` for them."""
         assert isinstance(self._printer, LinesPrinter)
-        with self.told_as_lost():
+        with self.as_output_error():
             self._printer.print_lines(lines)
 
-    def told_as_lost(self) -> AbstractContextManager[None]:
+    def as_output_error(self) -> AbstractContextManager[None]:
         """Turn an OSError in the context into an OutputError that names this output.
 
         A BrokenPipeError passes unchanged.
         """
-        return told_as_lost(self._name)
+        return as_output_error(self._name)
 
     def wait(self) -> None:
         """Flush the printed records, as the next record may take a while."""
-        with told_as_lost(self._name):
+        with as_output_error(self._name):
             self._printer.pause()
             self._file.flush()
 
@@ -190,7 +175,7 @@ class RecordOutput:
                 if self.is_full:
                     break
                 self._print(record, number)
-        with told_as_lost(self._name):
+        with as_output_error(self._name):
             self._printer.flush()
             self._file.flush()
 
@@ -199,7 +184,7 @@ class RecordOutput:
         try:
             self._printer.print(record, number)
         except OSError:
-            with told_as_lost(self._name):
+            with as_output_error(self._name):
                 raise
 
     def sentence(self) -> str:
@@ -227,7 +212,7 @@ def open_output(
     order: SortKey | None = None,
     overwrite: bool = False,
     in_place: bool = False,
-    make_output: MakeOutput | None = None,
+    make_output: Callable[..., RecordOutput] | None = None,
     is_summed: bool = True,
     if_interrupted: str = NOTHING_WRITTEN,
     points: str | None = None,
@@ -279,7 +264,7 @@ def open_output(
         def make_printer(to: TextIO) -> Printer:
             return printer_for(chosen, to, profile_for, table, values)
 
-        with told_as_lost(name):
+        with as_output_error(name):
             make_output = make_output or RecordOutput
             output = make_output(file, name, make_printer, shown, wanted, limit, order)
         try:
@@ -379,7 +364,7 @@ def say_troubles(judgement: Judgement) -> None:
 
 
 @contextmanager
-def told_as_lost(name: str) -> Iterator[None]:
+def as_output_error(name: str) -> Iterator[None]:
     """Turn an OSError in the context, such as a full disk, into an OutputError.
 
     `name` is that of the output, for the message. A BrokenPipeError passes unchanged.

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
-from mbtool.cli.talk import NOTHING_WRITTEN, interruption_told, say
+from mbtool.cli.talk import NOTHING_WRITTEN, say, say_if_interrupted
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replacing
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def is_old(path: str | None) -> bool:
@@ -57,7 +55,7 @@ def report_left(path: str | None) -> Iterator[None]:
             return f"interrupted; {path} stays as it was"
         return f"interrupted; {path} ends early" if is_old(path) else NOTHING_WRITTEN
 
-    with interruption_told(left):
+    with say_if_interrupted(left):
         yield
 
 

@@ -4,16 +4,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mbtool.cli.output import told_as_lost
+from mbtool.cli.output import as_output_error
 from mbtool.cli.talk import say
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
 from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from mbtool.workflows.replay_master import MasterRun
@@ -55,7 +55,7 @@ def add_ranges(file: Path, learned: Sequence[str]) -> None:
     fresh = [one for one in learned if one not in known]
     ends_within_line = is_list and file.read_bytes()[-1:] not in (b"", b"\n")
     lines = "".join(f"{one}\n" for one in fresh)
-    with told_as_lost(str(file)), file.open("a", encoding="utf-8") as stream:
+    with as_output_error(str(file)), file.open("a", encoding="utf-8") as stream:
         stream.write(f"\n{lines}" if lines and ends_within_line else lines)
     learned_now = counted(len(fresh), "range", ",")
     say(f"{learned_now} of registers learned; give --ignore-from {file} to leave them out")

@@ -9,13 +9,13 @@ import msgspec
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
-from mbtool.cli.output import told_as_lost
+from mbtool.cli.output import as_output_error
 from mbtool.cli.output_file import demand_writable
 from mbtool.cli.output_path import demand_other_file
 from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
-from mbtool.core import LinkError, UsageError
+from mbtool.core import LinkError, LinkSpec, UsageError
 from mbtool.core.moments import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
 from mbtool.replay.comparing import MIN_VALUES
@@ -27,12 +27,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mbtool.cli.replay_options import AsMasterOptions
-    from mbtool.core import LinkSpec
     from mbtool.workflows.replay_master import MasterOptions, Report
 
 SIDES = ("recorded", "answered")
 _NAMED = 3
-"""So many requests whose answers came too late are named in the last line."""
+"""The last line names at most this many requests whose answers came too late."""
 
 
 def play_as_master(file: str, to: LinkSpec, options: MasterOptions, chosen: AsMasterOptions) -> int:
@@ -76,7 +75,7 @@ def play_as_master(file: str, to: LinkSpec, options: MasterOptions, chosen: AsMa
 
 
 def _write(file: Path, text: str) -> None:
-    with told_as_lost(str(file)):
+    with as_output_error(str(file)):
         file.write_text(text, encoding="utf-8")
 
 

@@ -8,13 +8,13 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.cli.view_queue import ViewQueue, unwaited
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import FrameType
 
 
@@ -53,7 +53,7 @@ def say(text: str, *, is_error: bool = False) -> None:
     if isinstance(sys.stderr, ViewQueue) and sys.stderr.is_full:
         return
     with suppress(OSError):
-        print(_for_journal(text, is_error=is_error) + escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+        print(_journal_prefix(text, is_error=is_error) + escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def shown_progress(least_s: float | None = None) -> Iterator[Callable[[str], Non
             wipe()
 
 
-def _for_journal(text: str, *, is_error: bool) -> str:
+def _journal_prefix(text: str, *, is_error: bool) -> str:
     """Return the prefix that tells systemd's journal the level of a line, such as `<3>`.
 
     It is empty if standard error is no journal (sd-daemon(3)).
@@ -216,7 +216,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 @contextmanager
-def interruption_told(text: str | Callable[[], str] = NOTHING_WRITTEN) -> Iterator[None]:
+def say_if_interrupted(text: str | Callable[[], str] = NOTHING_WRITTEN) -> Iterator[None]:
     """Print `text`, which says what was kept, if Ctrl-C ends the context.
 
     A function is called then to return the text.

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
@@ -16,7 +17,6 @@ from mbtool.core.extras import missing_extra
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Callable, Iterator, Sequence
 
     Work = Callable[[bytes], bytes]
 
@@ -136,12 +136,12 @@ class DaskCluster:
             for future in completed(futures, loop=self._client.loop):
                 task = by_key[future.key]
                 error = future.exception()
-                yield task, future.result() if error is None else _told(error)
+                yield task, future.result() if error is None else _error_text(error)
                 future.release()
         finally:
             self._client.cancel(futures)
             self._client.close()
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())

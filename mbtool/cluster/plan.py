@@ -22,19 +22,16 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 MIN_FILES, MAX_FILES = 4, 16
 """The least and the greatest number of files that one decoder decodes in a row. With fewer, too
 many files would be read twice. With more, too much work would be lost if the process is killed."""
 MAX_RUN_BYTES = 512 * 1024 * 1024
-"""A run (files that one decoder decodes in a row) ends after the file with which it reaches so many
-bytes. This bounds the disk space for copies of files from an object store."""
+"""A run (files that one decoder decodes in a row) ends after the file with which it reaches this
+many bytes. This bounds the disk space for copies of files from an object store."""
 NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
 """Before and after a run (the files that one decoder decodes), further files are read until they
 have NEAR_BYTES bytes together, at most MAX_NEAR files. Of each file after the run, only the first
@@ -152,8 +149,8 @@ def parquet_name(path: str, digest: str) -> str:
 def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
     around = [
         Around(
-            tuple(reversed(_near(group[max(index - MAX_NEAR, 0) : index][::-1]))),
-            _near(group[index + 1 : index + 1 + MAX_NEAR]),
+            tuple(reversed(_first_files(group[max(index - MAX_NEAR, 0) : index][::-1]))),
+            _first_files(group[index + 1 : index + 1 + MAX_NEAR]),
         )
         for index in range(len(group))
     ]
@@ -165,7 +162,7 @@ def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
             begun, size = index, 0
 
 
-def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
+def _first_files(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
     """Return the first of `files`, as many as are needed for NEAR_BYTES bytes in all.
 
     Returns all of them if they have fewer bytes.

@@ -12,9 +12,10 @@ import hashlib
 import os
 import re
 import stat
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from pyarrow import fs
@@ -24,9 +25,6 @@ from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_of
 from mbtool.core.replacing import make_folder, move_into_place
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)
 _SYSTEM_REASON = re.compile(r"Detail: \[errno \d+\] (.+)")
@@ -35,7 +33,7 @@ _DEFAULT_REGION = "us-east-1"
 """The region to use for a store that is not Amazon's (AWS_ENDPOINT_URL), if none is set."""
 
 
-def is_address(path: str) -> bool:
+def is_store_address(path: str) -> bool:
     """True if a path is an address in an object store, such as s3://bucket/key."""
     return _ADDRESS.fullmatch(path) is not None
 
@@ -47,7 +45,7 @@ def list_inputs(pattern: str) -> list[InputFile]:
     """
     if os.path.isdir(pattern):
         raise InputError(f"{pattern}: a directory; name captures in it: '{pattern}/*.pcap'")
-    found = _remote_files(pattern) if is_address(pattern) else _local_files(pattern)
+    found = _remote_files(pattern) if is_store_address(pattern) else _local_files(pattern)
     if not found:
         raise InputError(f"{pattern}: there is no such file")
     return found
@@ -62,7 +60,7 @@ def fetch(file: InputFile, copy: Path, most: int | None = None) -> tuple[str, st
     is_cut = most is not None and file.size > most
     try:
         with _stream(file.path) as stream:
-            if not is_address(file.path) and not is_cut:
+            if not is_store_address(file.path) and not is_cut:
                 return file.path, hashlib.file_digest(stream, "sha256").hexdigest()
             digest, left = hashlib.sha256(), most if is_cut else None
             with copy.open("wb") as local:
@@ -77,7 +75,7 @@ def fetch(file: InputFile, copy: Path, most: int | None = None) -> tuple[str, st
 
 def _stream(path: str) -> Any:
     """Open a file for reading, on this machine or in an object store."""
-    if not is_address(path):
+    if not is_store_address(path):
         return open(path, "rb")
     store, place = _opened(path)
     return store.open_input_stream(place, compression=None)
@@ -95,7 +93,7 @@ class OutputStore:
         Raises UsageError for an address of an unknown kind.
         """
         self.address = address.rstrip("/") or "/"
-        self._is_local = not is_address(address)
+        self._is_local = not is_store_address(address)
         if self._is_local:
             self._fs, self._root = fs.LocalFileSystem(), os.path.abspath(address)
         else:

@@ -41,6 +41,13 @@ if TYPE_CHECKING:
 # three, and all rows with this combination take these fields from it.
 
 
+_EMPTY = (
+    "sub_function", "write_address", "write_quantity", "verdicts", "device", "points",
+    "response_file", "request_offset", "response_offset", "request_parts_ns", "pair_confidence",
+)  # fmt: skip
+"""The columns that are null or an empty list in every row that is computed from the arrays."""
+
+
 class PlainTables:
     """Makes a pyarrow table of those transactions of a block that were read from arrays."""
 
@@ -78,25 +85,25 @@ class PlainTables:
         is_exception = exception >= 0
         codes = np.array(distinct(exception[is_exception]), np.int64)
         columns: dict[str, Any] = {
-            "link": _words([one.link for one in connections], ends),
-            "transport": _words([Transport.TCP.value], np.zeros(len(chosen), np.int64)),
-            "source": _words([str(one.master) for one in connections], ends),
-            "destination": _words([str(one.slave) for one in connections], ends),
+            "link": _text_column([one.link for one in connections], ends),
+            "transport": _text_column([Transport.TCP.value], np.zeros(len(chosen), np.int64)),
+            "source": _text_column([str(one.master) for one in connections], ends),
+            "destination": _text_column([str(one.slave) for one in connections], ends),
             "unit": rows.unit[chosen],
             "transaction_id": rows.transaction_id[chosen],
             "function": rows.code[chosen],
-            "function_name": _words([one.function_name for one in names], name),
+            "function_name": _text_column([one.function_name for one in names], name),
             "address": usual.address[chosen],
             "quantity": usual.quantity[chosen],
             "request_values": _list(usual.request_values(chosen)),
             "response_values": _list(usual.response_values(chosen)),
             "exception": pa.array(exception, mask=~is_exception).cast(pa.uint8()),
-            "exception_name": _words(
+            "exception_name": _text_column(
                 [exception_name(code) for code in codes.tolist()],
                 np.searchsorted(codes, exception),
                 ~is_exception,
             ),
-            "outcome": _words(
+            "outcome": _text_column(
                 [Outcome.OK.value, Outcome.EXCEPTION.value], is_exception.astype(np.int64)
             ),
             "request_ns": rows.request_ns[chosen],
@@ -105,21 +112,22 @@ class PlainTables:
             "retries": np.zeros(len(chosen), np.uint32),
             "request_raw": _raw(rows, rows.request_begin[chosen], rows.request_size[chosen]),
             "response_raw": _raw(rows, rows.response_begin[chosen], rows.response_size[chosen]),
-            "direction_by": _words([DirectionBy.PORT.value], np.zeros(len(chosen), np.int64)),
+            "direction_by": _text_column([DirectionBy.PORT.value], np.zeros(len(chosen), np.int64)),
             "confidence": np.ones(len(chosen)),
             "reference": _words_or_none([one.reference for one in names], name),
             "findings": _lists([one.findings for one in names], name),
             "time": rows.request_ns[chosen] // 1000,
-            "file": _words([rows.block.file], np.zeros(len(chosen), np.int64)),
+            "file": _text_column([rows.block.file], np.zeros(len(chosen), np.int64)),
             "request_packet": rows.block.first_number + rows.request[chosen],
             "response_packet": rows.block.first_number + rows.response[chosen],
             "source_mac": _words_or_none(source_macs, ends),
             "destination_mac": _words_or_none(destination_macs, ends),
             "response_mac": _words_or_none(response_macs, ends),
             "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
+            **dict.fromkeys(_EMPTY),
         }
         return pa.Table.from_arrays(
-            [_column(field, columns.get(field.name), len(chosen)) for field in SCHEMA],
+            [_column(field, columns[field.name], len(chosen)) for field in SCHEMA],
             schema=SCHEMA,
         )
 
@@ -148,7 +156,7 @@ def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
     return values
 
 
-def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
+def _text_column(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
     """Return a column of texts. Row i has the text `texts[indices[i]]`, or null if `missing[i]` is
     True. If `missing` is None, no row has null.
     """
@@ -161,7 +169,7 @@ def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> p
 def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
     """Return a column of texts. Row i has `texts[indices[i]]`, which is null if it is None."""
     missing = np.array([text is None for text in texts], np.bool_)
-    return _words([text or "" for text in texts], indices, missing[indices])
+    return _text_column([text or "" for text in texts], indices, missing[indices])
 
 
 def _raw(rows: PlainRows, begins: Int64s, sizes: Int64s) -> pa.Array:

@@ -14,7 +14,7 @@ other packets that may carry Modbus to the Decoder.
 # been fed every packet. The results of a block are sorted by the packet that completed them.
 #
 # A connection that lies in one block from its SYN to its FINs, with nothing unusual, is read from
-# the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
+# the arrays without asking the Decoder (passed_connections.py). The Decoder is only told that the
 # connection has ended.
 #
 # In two cases the results depend on the order of all packets of all connections: the packets' times
@@ -59,7 +59,8 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 SMALLEST = 256
-"""A part of a block with so many packets or fewer is not cut further."""
+"""A part of a block with at most this many packets is not cut further: the Decoder gets all its
+packets."""
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
 """At most this many flows (a flow is all segments between two TCP ends) are decoded in one part of
 a block. It is half of the connections that the reassembler keeps, so the flows of one part cannot

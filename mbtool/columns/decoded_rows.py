@@ -38,7 +38,8 @@ _FUNCTIONS = (READ_BITS | READ_REGISTERS | WRITE_ONE | WRITE_SEVERAL) - {0x16, 0
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION))
 _PACKETS = attrgetter("request_packet", "response_packet")
 FEWEST = 16
-"""Fewer transactions than this stay as they are."""
+"""If a part of a block has fewer chosen transactions of the Decoder than this, they stay objects:
+to make rows of arrays of them would take longer."""
 
 
 def with_decoded(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from mbtool.columns.schema import Table
 
 _COLUMNS = ("file", "response_file")
+"""The columns with names of capture files."""
 
 
 def with_file_names(table: Table, names: Mapping[str, str]) -> Table:

@@ -24,9 +24,13 @@ if TYPE_CHECKING:
     from mbtool.packets.reassembler import FlowEnds
 
 MAX_FLOWS = 65_536
+"""If there are more flows than this, all are forgotten before the next block."""
 UNKNOWN = -1
+"""The flow number of a segment that cannot be told, because another flow has the same hash."""
 PORT_AT = 48
+"""The position, in bits, of the port in the number of an end."""
 _SIX = 1 << 47
+"""The bit that is set in the number of an IPv6 address."""
 
 _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F)
 _SHIFT = np.uint64(29)

@@ -39,16 +39,21 @@ _RAW_TYPES = {12: 0, 14: 0, 101: 0, 228: 0, 229: 0, 0: 4, 108: 4}
 """For each link type without EtherType, the offset of the IP header. 4 bytes with the address
 family come before it in the link types 0 and 108 (loopback)."""
 _FAMILY_AT = 4
+"""The size in bytes of the address family before the IP header in loopback packets."""
 _VLAN = (0x8100, 0x88A8, 0x9100)
+"""The EtherTypes of VLAN tags."""
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
 """EtherTypes behind which this module does not look for IP: HSR, PPPoE, MPLS, a third VLAN tag.
 Their packets go to the Decoder, because an IP packet may follow the further header."""
 _TUNNELS = (4, 41, 47)
+"""The IP protocols that carry another IP packet: IPv4, IPv6, GRE. Their packets go to the
+Decoder."""
 _UDP, _ICMPV6 = 17, 58
 _IPV6_SIZE = 40
 _VXLAN_PORT = 4789
 _MAX_TAGS = 2
+"""The most VLAN tags that are skipped in a packet."""
 
 _IPV4_HEADER = np.dtype(
     [

@@ -44,9 +44,10 @@ if TYPE_CHECKING:
     from mbtool.packets.pcapng import PcapngInterface
 
 BLOCK_PACKETS = 65_536
+"""The most packets of a block."""
 BLOCK_BYTES = 8 * 1024 * 1024
-"""So many bytes of the file are searched for the records of one block. A record is never longer, so
-a block has at least one."""
+"""The records of one block are looked for in this many bytes of the file. A record is never longer,
+so that a block has at least one."""
 LEAST_READ = 1024 * 1024
 """Each read of the file asks for at least this many bytes; few large reads are faster."""
 
@@ -56,8 +57,8 @@ at the start of each packet without a check of the packet's length; whoever read
 bytes behind the packet's end."""
 
 SLOWLY = 1024
-"""So many blocks are read one by one at the beginning of a pcapng file, and from each block on that
-is no enhanced packet block, or is damaged."""
+"""At the beginning of a pcapng file, and from each block on that is damaged or is no enhanced
+packet block, this many blocks are read one by one."""
 
 _MAGIC = 4
 _BLOCK_HEAD = 8
@@ -245,7 +246,7 @@ class _PcapBlocks:
         self._number = 0
         """The number of packets in the blocks that were yielded so far."""
         self._last_s: int | None = None
-        """The time (UTC s) of the last of them."""
+        """The time (UTC s) of the last packet of the last block; None before the first block."""
 
     def blocks(self) -> Iterator[PacketBlock]:
         damage: DamageError | None = None
@@ -348,7 +349,7 @@ class _PcapngBlocks:
                 if not is_full:
                     break
         source.raise_error()
-        rest = reader.rest()
+        rest = reader.incomplete_reads()
         if rest is not None:
             yield _block_of([rest])
 

@@ -176,6 +176,7 @@ _MASK = 0xFFFFFFFF
 _FIXED_CODES = (1, 2, 3, 4, 5, 6)
 """Functions whose requests have a function code, an address, and a quantity or value."""
 _FIXED = MBAP_BYTES + 5
+"""The size in bytes of a request ADU with function code, address, and quantity or value."""
 _COUNTED = MBAP_BYTES + 6
 """The number of bytes before the values in a request ADU that writes several values, from the MBAP
 header to the byte count."""

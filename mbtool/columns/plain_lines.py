@@ -40,8 +40,10 @@ if TYPE_CHECKING:
     from mbtool.columns.usual_values import ValueLists
 
 MAX_LINES = 65_536
+"""If there are more templates than this, all are forgotten before the next block."""
 FEW = 4
-"""A template is made if a group has at least so many rows in a block."""
+"""A template is made for a group that has at least this many rows in a block; the lines of smaller
+groups are made one by one, which is faster."""
 
 _TEXTS = ("link", "source", "destination")
 _NUMBERS = ("transaction_id", "response_ns", "latency_ns", "request_packet", "response_packet")
@@ -176,11 +178,11 @@ class BlockLines:
         new = np.flatnonzero(is_new & ~is_rare)
         made = objects.chosen(chosen[first[new]])
         for one, example in zip(new.tolist(), made, strict=True):
-            self._forms[keys[one]] = self._form(example)
+            self._forms[keys[one]] = self._template(example)
         usual.is_usual[chosen[is_rare[kinds]]] = False
         return [self._forms.get(key, "") for key in keys], kinds[~is_rare[kinds]]
 
-    def _form(self, like: NamedTransaction) -> str:
+    def _template(self, like: NamedTransaction) -> str:
         """Return the line of the transaction `like` as a template: %s stands in place of each field
         that differs within a group.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.poll_runs import in_turn
+from mbtool.columns.poll_runs import items_in_packet_order
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,4 +28,4 @@ def plain_records(decoded: DecodedBlock, objects: PlainObjects) -> Iterator[Reco
         yield from (record for _, record in records)
         return
     some, every = objects.of(rows).some, np.ones(len(rows.response), np.bool_)
-    yield from in_turn(rows, every, records, some, some)
+    yield from items_in_packet_order(rows, every, records, some, some)

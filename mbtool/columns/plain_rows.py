@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mbtool.decode.plain_stretch import PlainLimits
 
 _UNIT_AT = MBAP_BYTES - 1
+"""The offset in bytes of the unit in an ADU of Modbus/TCP."""
 _LINK_HEADER = np.dtype("V32")
 """The first 32 bytes of a packet. No link layer header that headers.py reads is longer than 28
 bytes, so the last byte is free for the header's length."""
@@ -74,6 +75,8 @@ class PlainRows:
 
 
 _OF_A_BLOCK = ("block", "data", "connections", "addresses")
+"""The fields of PlainRows that are for the whole block; all others have one element per
+transaction."""
 PER_ROW = [one.name for one in fields(PlainRows) if one.name not in _OF_A_BLOCK]
 """The names of the arrays that have one element per transaction."""
 

@@ -3,9 +3,10 @@
 # A row is a transaction. The usual reads and writes (usual_rows.py) of one kind have the same link,
 # slave, master address (without port), MAC addresses, unit, function, address, quantity and
 # exception code. They differ only in times, ids, values, bytes and packets. The first one of a kind
-# is named and becomes the model: the others are copies of it with their own times, ids, values,
-# bytes and packets. If the names depend on values, each transaction is named. If a new kind differs
-# from a known one only in address and quantity, its model is a copy, too.
+# gets the names of its slave's points and becomes the model: the others are copies of it with their
+# own times, ids, values, bytes and packets. If names depend on values, they are looked up for each
+# transaction. If a new kind differs from a known one only in address and quantity, its model is a
+# copy, too.
 #
 # Memory: MAX_KINDS models; if there are more, all are forgotten and made again when needed. The
 # values of at most AT_ONCE rows of a block.
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
 
 
 MAX_KINDS = 65_536
+"""If there are more models than this, all are forgotten, and made again when they are needed."""
 AT_ONCE = 4096
+"""The values, bytes and packets of this many rows are read from the arrays at one time."""
 
 
 _Parts = tuple[Any, ...]
@@ -52,7 +55,7 @@ class PlainObjects:
         self.models: dict[tuple[object, ...], tuple[NamedTransaction, bool]] = {}
         """By kind: the model, and True if its names depend on values."""
         self.bases: dict[tuple[object, ...], NamedTransaction] = {}
-        """By kind without address and quantity, one of its transactions."""
+        """By kind without address and quantity, one transaction; models of new kinds are copies."""
 
     def of(self, rows: PlainRows, usual: UsualValues | None = None) -> RowObjects:
         """Return what makes the objects of a block. `usual` tells its usual rows, if known."""
@@ -74,7 +77,8 @@ class RowObjects:
         self._is_usual = usual.is_usual.copy()  # A caller may change its own array.
         self._octets = rows.data.data
         self._window = -1
-        """The number of the AT_ONCE rows in `_parts`, as those before are needed no more."""
+        """The index of the group of AT_ONCE rows whose parts are in `_parts`; earlier groups are
+        not needed again."""
         self._parts: list[_Parts] = []
 
     def have_profile(self) -> Bools:
@@ -90,7 +94,7 @@ class RowObjects:
         have: Bools = np.array(found, np.bool_)[like]
         return have
 
-    def one(self, index: int) -> NamedTransaction:
+    def transaction_of_row(self, index: int) -> NamedTransaction:
         """Return the transaction of the row with this index."""
         return next(self.chosen(np.array([index])))
 
@@ -103,13 +107,13 @@ class RowObjects:
                 indices = np.arange(first, min(first + AT_ONCE, len(self._rows.unit)))
                 self._window, self._parts = window, self._parts_of(indices)
             stop = min(end, first + AT_ONCE)
-            yield from map(self._made, self._parts[begin - first : stop - first])
+            yield from map(self._transaction, self._parts[begin - first : stop - first])
             begin = stop
 
     def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
         """Yield the transactions of the rows with these indices."""
         for at in range(0, len(indices), AT_ONCE):
-            yield from map(self._made, self._parts_of(indices[at : at + AT_ONCE]))
+            yield from map(self._transaction, self._parts_of(indices[at : at + AT_ONCE]))
 
     def _parts_of(self, indices: Int64s) -> list[_Parts]:
         """Return what transactions of one kind differ in, for each of the rows with these indices:
@@ -139,12 +143,12 @@ class RowObjects:
             )
         )
 
-    def _made(self, parts: _Parts) -> NamedTransaction:
+    def _transaction(self, parts: _Parts) -> NamedTransaction:
         index, kind, end, begin_ns, end_ns, id_, asking, answering, *places, asked, answered = parts
         namer, rows = self._objects.namer, self._rows
         if kind < 0:
             return namer.name(plain_transaction(rows, index))
-        source, place = self._ends[end]
+        source, place = self._keys_of_ends[end]
         key = rows.block.file, place, kind
         found = self._objects.models.get(key)
         model = (
@@ -186,7 +190,7 @@ class RowObjects:
         return found
 
     @cached_property
-    def _ends(self) -> list[tuple[str, tuple[object, ...]]]:
+    def _keys_of_ends(self) -> list[tuple[str, tuple[object, ...]]]:
         """For each item of `connections`: the master as text, and what is equal in all
         transactions of a kind.
         """

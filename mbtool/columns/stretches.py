@@ -13,7 +13,7 @@ connection, with no segment missing or out of order. Works on the arrays of `Seg
 # a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.
 #
 # Two irregularities are allowed within a stretch. The first is a copy: a segment with the bytes and
-# numbers of an earlier one, right after it or after the response to it (sent_again.py). It changes
+# numbers of an earlier one, right after it or after the response to it. It changes
 # nothing and is skipped. The second is a request in two segments, at most PARTS_NS apart: its bytes
 # are joined and appended to the block's data, and its time is that of the second segment.
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _PSH = 0x08
 _MASK = 0xFFFFFFFF
 _LENGTH_END = MBAP_BYTES - 1
+"""The number of bytes of an MBAP header up to its length field, which does not count them."""
 _MBAP = np.dtype(
     [("id", ">u2"), ("protocol", ">u2"), ("length", ">u2"), ("unit", "u1"), ("code", "u1")]
 )

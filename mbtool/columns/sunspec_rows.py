@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
 MAX_SLAVES = 1024
+"""At most this many slaves with a SunSpec map are remembered; the reads of further ones are not
+found."""
 
 _MARK = MARK[0] << 16 | MARK[1]
 _MARK_BYTES = _MARK.to_bytes(4)
@@ -75,7 +77,7 @@ class SunSpecRows:
         SunSpec mark.
         """
         reads = usual.is_usual & (rows.code == READ_HOLDING) & (usual.exception < 0)
-        for place in _with_mark(rows, usual, np.flatnonzero(reads)):
+        for place in _rows_with_sunspec_mark(rows, usual, np.flatnonzero(reads)):
             if len(self._slaves) < MAX_SLAVES:
                 end = rows.connections[rows.connection[place]]
                 self._slaves.add((end.link, str(end.slave), int(rows.unit[place])))
@@ -114,7 +116,7 @@ class SunSpecReads:
         return [record for _, record in records]
 
 
-def _with_mark(rows: PlainRows, usual: UsualRows, places: Int64s) -> list[int]:
+def _rows_with_sunspec_mark(rows: PlainRows, usual: UsualRows, places: Int64s) -> list[int]:
     """Return those of the row indices `places` whose response has the SunSpec mark at an address
     where a map may begin. These rows must be reads of holding registers.
     """

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from mbtool.columns.plain_transactions import PlainObjects
-from mbtool.columns.poll_runs import in_turn
+from mbtool.columns.poll_runs import items_in_packet_order
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
 from mbtool.decode.usual_run import UsualRun
@@ -76,7 +76,7 @@ class UsualRuns(Generic[F]):
         block = _BlockForms(
             rows, usual, lambda some: [self._form_of(one) for one in made.chosen(some)]
         )
-        yield from in_turn(rows, usual.is_usual, records, block.some, made.some)
+        yield from items_in_packet_order(rows, usual.is_usual, records, block.some, made.some)
 
 
 class _BlockForms(Generic[F]):

@@ -51,8 +51,8 @@ VALUE_SCHEMA = pa.schema(
 new columns come last."""
 
 _SLICE = 4_096
-"""So many transactions are turned into values at once, which bounds the memory: they have about
-500,000 values if each reads 125 registers."""
+"""The values of this many transactions are put into a table at one time, which bounds the memory:
+they have about 500,000 values if each reads 125 registers."""
 _EFFECTIVE = pa.array([Outcome.OK.value, Outcome.LATE.value, Outcome.BROADCAST.value])
 _MASK_WRITE, _BOTH = 0x16, 0x17
 _WRITING = [code for code, one in FUNCTIONS.items() if one.writes and code != _BOTH]
@@ -82,7 +82,7 @@ def _values_of(batch: pa.RecordBatch, profile_named: ProfileNamed) -> pa.Table:
     has_points: Bools = _sizes(batch["points"]) > 0
     function: Int64s = batch["function"].cast(pa.int64()).to_numpy()
     is_plain = is_effective & ~has_points & np.isin(function, _PLAIN)
-    parts = [_named(batch, is_effective & has_points, function)]
+    parts = [_point_columns(batch, is_effective & has_points, function)]
     for written in (False, True):
         values = batch["request_values" if written else "response_values"]
         firsts = batch["address"]
@@ -125,7 +125,7 @@ def _sizes(lists: pa.ListArray) -> Int64s:
     return sizes
 
 
-def _named(batch: pa.RecordBatch, chosen: Bools, function: Int64s) -> dict[str, pa.Array]:
+def _point_columns(batch: pa.RecordBatch, chosen: Bools, function: Int64s) -> dict[str, pa.Array]:
     """Return the points of the chosen transactions."""
     at = np.flatnonzero(chosen)
     points = batch["points"].take(pa.array(at))

@@ -26,16 +26,19 @@ back."""
 SLAVE_CONNECTIONS = 32
 """The default of the most masters that are connected to a slave that mbtool plays."""
 SLAVE_IDLE_S = 600.0
-"""The default of the seconds without a request after which such a slave closes a connection."""
+"""A slave closes a connection on which no byte came for this time (s), unless the user gives
+another one."""
 TAP_CONNECTIONS = 64
-"""The default of the most masters that are connected to a tap."""
+"""The number of masters that may be connected to a tap at one time, unless the user gives another
+one."""
 TAP_IDLE_S = 3600.0
-"""The default of the seconds without a byte after which a tap closes a connection."""
+"""A tap closes a connection on which no byte came for this time (s), unless the user gives another
+one."""
 CONNECTIONS_PER_SECOND = 100.0
 """The default of the most new TCP connections that a slave or a tap accepts in a second."""
 
-RESPONSE_TIMEOUT_NS = 1_000_000_000
-"""The default time in ns that a master waits for a response."""
+RESPONSE_TIMEOUT_S = 1.0
+"""The default time in s that a master waits for a response."""
 TURNAROUND_NS = 100_000_000
 """The default pause of a master after a broadcast, in ns (Serial Line V1.02, 2.4.1: typically 100
 to 200 ms)."""
@@ -45,7 +48,7 @@ to 200 ms)."""
 class LinkLimits:
     """The rules that a master keeps on a link: its timeout, its pauses, one request at a time."""
 
-    timeout_ns: int = RESPONSE_TIMEOUT_NS
+    timeout_ns: int = round(RESPONSE_TIMEOUT_S * 1_000_000_000)
     """The longest time that the master waits for a response, in ns."""
     one_at_a_time: bool = False
     """True on a serial line and on RTU over TCP: the master sends no request while another one

@@ -378,7 +378,7 @@ class LineSettings:
     format: SerialFormat
     ascii: bool = False
 
-    def on(self, port: str) -> SerialLink:
+    def link_at(self, port: str) -> SerialLink:
         """Return the serial link with this port and these settings."""
         return SerialLink(port, self.format, ascii=self.ascii)
 

@@ -161,9 +161,9 @@ class SerialFormat:
         if self.stop_bits not in (1, 2):
             raise ValueError(f"stop bits are 1 or 2, not {self.stop_bits}")
         for name, given in ((_T1_5, self.t1_5), (_T3_5, self.t3_5)):
-            if given is not None and not 0 < self._ns(given) <= MAX_NS:
+            if given is not None and not 0 < self._silence_ns(given) <= MAX_NS:
                 raise ValueError(f"{name} is more than 0 and at most {MAX_NS // 10**9} s")
-        if self.t1_5 is not None and self._ns(self.t1_5) > self.t3_5_ns:
+        if self.t1_5 is not None and self._silence_ns(self.t1_5) > self.t3_5_ns:
             raise ValueError(
                 f"t1.5 of {self.t1_5} is longer than t3.5, {self.t3_5 or f'{self.t3_5_ns} ns'}"
             )
@@ -229,14 +229,14 @@ class SerialFormat:
     def t1_5_ns(self) -> int:
         """The longest silence that may occur inside a frame, in ns."""
         if self.t1_5 is not None:
-            return self._ns(self.t1_5)
+            return self._silence_ns(self.t1_5)
         return min(self._standard_ns(3, _FIXED_T1_5_NS), self.t3_5_ns)
 
     @property
     def t3_5_ns(self) -> int:
         """The shortest silence that may occur between two frames, in ns."""
         if self.t3_5 is not None:
-            return self._ns(self.t3_5)
+            return self._silence_ns(self.t3_5)
         return self._standard_ns(7, _FIXED_T3_5_NS)
 
     @property
@@ -262,7 +262,7 @@ class SerialFormat:
         if self.data_bits != 8:  # Serial Line V1.02, 2.5.1.
             raise UsageError(f"{given}: RTU needs 8 data bits, for example {example}")
 
-    def _ns(self, silence: Silence) -> int:
+    def _silence_ns(self, silence: Silence) -> int:
         return silence.ns(self.baud, self.character_bits)
 
     def __str__(self) -> str:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,8 +31,6 @@ from mbtool.serial_line.bus_model import BusModel
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.core import Connection, StreamPlace
     from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace
@@ -300,7 +299,7 @@ class ConnectionDecoder:
         self._last_adus: dict[Direction, Adu] = {}
         """The last frame of each direction of RTU over TCP."""
         self._bus: Bus | None = None
-        """The decoder of a whole line that one direction carries (bus_in_stream.py); None if each
+        """The decoder of a whole line that one direction carries (Bus); None if each
         direction has its own frames."""
         self._bus_direction = Direction.UNKNOWN
         self._is_heard_again = False
@@ -334,10 +333,10 @@ class ConnectionDecoder:
                 self._last_adus[direction] = frames[-1]
         if place is None:
             gaps = [
-                _LostBytes(one, progress.without_places(), None)
+                _LostBytes(one, progress.take_missing_bytes(), None)
                 for one, progress in self._progress.items()
             ]
-            return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]
+            return [*self._report_losses(gaps, ts_ns), *self._paired(events, direction)]
         self._progress[direction].take(place, len(data))
         return self._placed(events, direction, ts_ns)
 
@@ -415,7 +414,7 @@ class ConnectionDecoder:
         self._last_ns = stretch.responses.last_ns
         self._pairing.pass_plain(stretch)
 
-    def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
+    def _report_losses(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
         """Tell the pairing of lost requests, then of lost responses.
 
         `ts_ns` is the time at which the loss was noticed. Returns the transactions that the losses
@@ -489,7 +488,7 @@ class ConnectionDecoder:
             decoded += self._paired(events, direction)
         lost = {direction: progress.end() for direction, progress in self._progress.items()}
         losses = [_LostBytes(one, size, None) for one, size in lost.items() if size > _FIN]
-        decoded += self._lost(losses, self._last_ns)
+        decoded += self._report_losses(losses, self._last_ns)
         if lost[Direction.RESPONSE] > _FIN:  # One byte may be a FIN, so the number is unsure.
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
@@ -528,14 +527,14 @@ class ConnectionDecoder:
                 if lost:
                     losses.append(_LostBytes(direction, lost, start, progress.lost_ns))
                 if losses:
-                    decoded += self._lost(losses, ts_ns)
+                    decoded += self._report_losses(losses, ts_ns)
                     losses = []
                 decoded.append(event)
                 decoded += self._pairing.feed(event, AduPlace(end, received))
             else:
                 decoded += self._paired([event], direction)
         if losses:
-            decoded += self._lost(losses, ts_ns)
+            decoded += self._report_losses(losses, ts_ns)
         return decoded
 
     def _paired(self, events: list[Adu | Skipped], direction: Direction) -> list[Decoded]:

@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.core import (
@@ -34,6 +35,7 @@ from mbtool.core import (
     SerialFormat,
     SerialLink,
     Stamp,
+    StreamPlace,
     WireEvent,
 )
 from mbtool.core.limits import MODBUS_PORT
@@ -60,17 +62,13 @@ from mbtool.packets import (
     TcpReassembler,
     serial_pieces,
 )
-from mbtool.packets.reassembler import MAX_CONNECTIONS
+from mbtool.packets.reassembler import MAX_CONNECTIONS, FlowEnds
 from mbtool.packets.usb import USB_LINK_TYPES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mbtool.core import StreamPlace
     from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.packets.connection import TcpConnection
     from mbtool.packets.plain_bytes import RestPlace
-    from mbtool.packets.reassembler import FlowEnds
 
 # Decodes a serial line from a program's log that has whole frames and names their senders.
 #
@@ -138,6 +136,8 @@ def _parts(data: bytes) -> tuple[Transport, int, bytes, Checksum] | None:
 
 
 MAX_FOREIGN_REPORTED = 4096
+"""At most this many endpoints that do not use Modbus are reported, each once; bytes of further ones
+are not reported."""
 
 _EVERY_PORT = range(1 << 16)
 _DROPPED = (
@@ -146,7 +146,8 @@ _DROPPED = (
 _UNSEEN_ENDS = frozenset((CloseReason.CAPTURE_END, CloseReason.DISCARDED))
 """Reasons for which the decoder stops following a connection that may still be open."""
 _LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
-"""Kinds of events that say that bytes of a link are missing. A serial line is then begun anew."""
+"""Kinds of events for missing bytes of a link. After such an event, the decoding of a serial line
+begins anew."""
 
 Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
@@ -253,7 +254,7 @@ class Decoder:
         known = self._lines.get(link)
         if known is None and not self._is_line_given:
             known = self._usb.line(link)
-        return known or self._line.on(link)
+        return known or self._line.link_at(link)
 
     def begin_line(self, line: SerialLink) -> None:
         """Set the settings of the serial link named `line.name`, before its bytes are fed."""
@@ -280,7 +281,7 @@ class Decoder:
         request, buffered bytes or an undecided pairing. `now_ns` is the time of its next packet.
         """
         connection = self._reassembler.find(ends)
-        place = None if connection is None else connection.rest
+        place = None if connection is None else connection.rest_place
         detector = None if connection is None else self._detectors.get(connection.identity)
         decoder = None if detector is None else detector.plain_decoder()
         if connection is None or place is None or decoder is None:
@@ -345,7 +346,7 @@ class Decoder:
         self._detectors.move_to_end(chunk.connection)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
         if detector.state is ProtocolState.FOREIGN:
-            decoded = self._foreign_once(detector, decoded)
+            decoded = self._without_repeated_reports(detector, decoded)
             if not self._is_expected(chunk.connection):
                 self._reassembler.ignore(chunk.connection)
         records = self._to_records(decoded)
@@ -354,7 +355,7 @@ class Decoder:
             records += self._end(oldest, self._last_ns)
         return records
 
-    def _quiet(self, quiet: Quiet) -> list[Record]:
+    def _feed_quiet(self, quiet: Quiet) -> list[Record]:
         bus = self._buses.get(quiet.link)
         if bus is not None:
             return self._to_records(bus.advance(quiet.ts_ns))
@@ -375,7 +376,7 @@ class Decoder:
         opened = _connection_event(item, EventKind.OPENED, text)
         detector = self._detector(item.connection, joined=item.joined)
         if self._is_expected(item.connection):
-            return [detector.in_detected_roles(opened)]
+            return [detector.with_detected_roles(opened)]
         detector.hold(opened)
         return []
 
@@ -387,7 +388,7 @@ class Decoder:
         gap = detector.gap(
             item.direction, item.missing, item.ts_ns, item.kind, item.acknowledged_ns
         )
-        return self._to_records(self._foreign_once(detector, gap))
+        return self._to_records(self._without_repeated_reports(detector, gap))
 
     def _stream_closed(self, item: StreamClosed) -> list[Record]:
         detector = self._detectors.pop(item.connection, None)
@@ -408,13 +409,13 @@ class Decoder:
             probes += f", the last {item.unanswered_probes} unanswered"
         text = _DROPPED if discarded else _closing_text(item)
         closed = _connection_event(item, kind, text + probes)
-        return [*records, closed if detector is None else detector.in_detected_roles(closed)]
+        return [*records, closed if detector is None else detector.with_detected_roles(closed)]
 
     def _stream_event(self, item: StreamEvent) -> list[Record]:
         detector = self._detectors.get(item.connection)
         state = None if detector is None else detector.state
         if detector is not None and state is ProtocolState.MODBUS:
-            return [detector.in_detected_roles(item.event)]
+            return [detector.with_detected_roles(item.event)]
         if self._is_expected(item.connection):
             return [item.event]
         if detector is not None and state is ProtocolState.UNDECIDED:
@@ -493,9 +494,11 @@ class Decoder:
 
     def _end(self, detector: ProtocolDetector, end_ns: int | None) -> list[Record]:
         """End a connection; `end_ns` is the capture's end, None if the connection has ended."""
-        return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
+        return self._to_records(self._without_repeated_reports(detector, detector.close(end_ns)))
 
-    def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
+    def _without_repeated_reports(
+        self, detector: ProtocolDetector, decoded: list[Decoded]
+    ) -> list[Decoded]:
         """Drop `decoded` if it reports that an endpoint is not Modbus and an earlier report did so.
 
         Where Modbus is expected, every report is kept.
@@ -526,7 +529,7 @@ class Decoder:
 
 _HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
     Chunk: Decoder._chunk,
-    Quiet: Decoder._quiet,
+    Quiet: Decoder._feed_quiet,
     StreamClosed: Decoder._stream_closed,
     StreamEvent: Decoder._stream_event,
     StreamGap: Decoder._stream_gap,

@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from mbtool.modbus.adu import Adu
 
 MAX_DROPPED = 1 << 16
+"""The counts of at most this many pairs of transaction id and unit are kept; beyond it, the oldest
+is forgotten."""
 FORGET_NS = 60_000_000_000
-"""Dropped requests are forgotten when none was dropped for this time, in ns. No slave takes so long
-to respond."""
+"""All counts are forgotten if a response comes more than this time (ns) after the last dropped
+request: slaves respond sooner."""
 
 _Key = tuple[int | None, int]
 

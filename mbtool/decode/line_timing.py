@@ -14,15 +14,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialFormat, SerialLink, Silence, UsageError
 from mbtool.devices import Assignments
 from mbtool.modbus import Transport
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,35 +49,40 @@ class LineTiming:
                 "--t1-5, --t3-5 and --response-timeout are for serial lines; "
                 "none of the links is one"
             )
-        return [self._given(link) if isinstance(link, SerialLink) else link for link in links]
+        return [
+            self._with_given_silences(link) if isinstance(link, SerialLink) else link
+            for link in links
+        ]
 
     def format_of(self, line: SerialLink) -> SerialFormat:
         """Return a line's settings with t1.5 and t3.5 filled in.
 
         Raises UsageError if the silences contradict each other.
         """
-        format_ = self._given(line).format
+        format_ = self._with_given_silences(line).format
         if format_.t3_5 is None:
-            t3_5 = _shortest(self._of_profiles(line, "t3_5"), format_)
-            if t3_5 is not None and (format_.t1_5 is None or _ns(t3_5, format_) >= format_.t1_5_ns):
+            t3_5 = _shortest(self._silences_of_profiles(line, "t3_5"), format_)
+            if t3_5 is not None and (
+                format_.t1_5 is None or _silence_ns(t3_5, format_) >= format_.t1_5_ns
+            ):
                 format_ = replace(format_, t3_5=t3_5)
         if format_.t1_5 is None:
             fitting = [
                 each
-                for each in self._of_profiles(line, "t1_5")
-                if _ns(each, format_) <= format_.t3_5_ns
+                for each in self._silences_of_profiles(line, "t1_5")
+                if _silence_ns(each, format_) <= format_.t3_5_ns
             ]
             format_ = replace(format_, t1_5=_longest(fitting, format_))
         return format_
 
     def response_timeout_ns(self, line: SerialFormat) -> int | None:
         """The response timeout of the master, in ns; None if it was not given."""
-        return None if self.response_timeout is None else _ns(self.response_timeout, line)
+        return None if self.response_timeout is None else _silence_ns(self.response_timeout, line)
 
-    def _given(self, line: SerialLink) -> SerialLink:
+    def _with_given_silences(self, line: SerialLink) -> SerialLink:
         return replace(line, format=line.format.with_silences(self.t1_5, self.t3_5))
 
-    def _of_profiles(self, line: SerialLink, key: str) -> Iterable[Silence]:
+    def _silences_of_profiles(self, line: SerialLink, key: str) -> Iterable[Silence]:
         transport = Transport.ASCII if line.ascii else Transport.RTU
         for each in self.assignments:
             if each.who.host is None and transport in each.profile.transports:
@@ -89,13 +91,13 @@ class LineTiming:
                     yield Silence.parse(text)
 
 
-def _ns(silence: Silence, format_: SerialFormat) -> int:
+def _silence_ns(silence: Silence, format_: SerialFormat) -> int:
     return silence.ns(format_.baud, format_.character_bits)
 
 
 def _shortest(silences: Iterable[Silence], format_: SerialFormat) -> Silence | None:
-    return min(silences, key=lambda each: _ns(each, format_), default=None)
+    return min(silences, key=lambda each: _silence_ns(each, format_), default=None)
 
 
 def _longest(silences: Iterable[Silence], format_: SerialFormat) -> Silence | None:
-    return max(silences, key=lambda each: _ns(each, format_), default=None)
+    return max(silences, key=lambda each: _silence_ns(each, format_), default=None)

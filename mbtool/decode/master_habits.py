@@ -4,12 +4,11 @@ respond.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import sub
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.decode.open_requests import OpenRequest
 
 LATE = 1.5
@@ -21,6 +20,7 @@ the master sends nothing more."""
 UNUSUAL = 3
 """A response is unusually slow if it takes this many times the mean latency of its function."""
 MIN_LATE_NS = 30_000_000
+"""The least result (ns) of `late_ns` of a pipelining master, of `silence_ns` and of `slow_ns`."""
 FIRST_LATE_NS = 100_000_000
 """The result (ns) of `late_ns`, `silence_ns` and `slow_ns` before the first response. No master has
 a shorter response timeout by default."""
@@ -115,7 +115,7 @@ class MasterHabits:
         return max(self._slowest_ns.values(), default=None)
 
     @property
-    def heard_ns(self) -> int:
+    def got_response_until_ns(self) -> int:
         """The latest time (ns) at which the master can have got its last response, also one that
         the capture lacks.
         """
@@ -241,5 +241,5 @@ class MasterHabits:
             return True
         if not self.ids_vary or not waiting or request is not waiting[-1]:
             return False
-        ids = [one.transaction_id for one in waiting]
-        return ids.count(ids[-1]) == 1
+        same = request.transaction_id
+        return sum([one.adu is not None and one.adu.transaction_id == same for one in waiting]) == 1

@@ -48,7 +48,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -71,11 +72,12 @@ from mbtool.decode.pairing_readings import (
     likely_cost,
     lost_runs,
     may_be_among,
+    most_readings,
     options,
     without_costly,
     without_pipelined,
 )
-from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, PlainStretch
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -89,25 +91,23 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import unfinished_in
 from mbtool.modbus.adu import Adu, Skipped, Verdict
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.decode.plain_stretch import PlainStretch
-    from mbtool.modbus.transaction import Transaction
+_Costed = TypeVar("_Costed", bound=tuple[Any, ...])
 
 TIMEOUT_NS = 60_000_000_000
-"""A request without a response is closed after this time, in ns. No master waits so long, so a late
+"""A request that got no response within this time (ns) is closed. Masters wait less, so that a late
 response is still paired with its request."""
 MAX_HELD = 32
-"""The most responses held back until something decides which request they answer."""
+"""At most this many responses of a connection wait until a later ADU shows which requests they
+answer."""
 HOLD_NS = 3_000_000_000
 """The longest time, in ns, that a response is held back because it may answer one of several
 requests. A user who watches a live capture sees its transaction later by up to this time."""
 MAX_LOST_REQUESTS = 32
-"""The most requests that are supposed to be in one run of lost bytes."""
+"""A run of lost bytes is taken for at most this many requests."""
 MANY_LOSSES = 2
+"""The number of losses within NEAR_REQUESTS requests from which on pairs are doubtful."""
 NEAR_REQUESTS = 32
 """Losses whose number of requests or responses is not known make the later pairs doubtful if the
 capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests. For a single such loss, its
@@ -115,17 +115,21 @@ length is enough evidence: in simulated plants, no pair is wrong if every twenti
 If every fifth is lost, 0.05 % of the pairs that are not doubtful are wrong (0.3 % with
 MANY_LOSSES = 3)."""
 ONE_REQUEST = 16
-"""Fewer lost bytes than these are one request: the shortest request has 8 bytes."""
+"""A run of fewer lost bytes than this is taken for one request: the shortest request has 8 bytes,
+two have 16."""
 RECENT_WAITS = 16
+"""The number of last waits of a master for a request without a response that are kept."""
 ENOUGH_WAITS = 3
+"""The number of about equal waits (EVEN) from which on they count as the master's time-out."""
 EVEN = 0.15
-"""The master has a time-out if ENOUGH_WAITS of its last RECENT_WAITS waits differ by at most this
-share (0 to 1)."""
+"""Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
+RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
 _USUAL_REQUEST = 12
-"""Bytes of a read request's ADU. The number of lost requests is estimated as if all were reads."""
+"""The size in bytes of the ADU of a read request. The number of lost requests is the number of lost
+bytes divided by this."""
 
 
 class NetworkPairing:
@@ -230,7 +234,7 @@ class NetworkPairing:
             if self._is_lossy and (end is None or lost >= ONE_REQUEST):
                 self._doubt_order([])
         else:
-            self._lose_responses(lost, at_ns)
+            self._note_lost_responses(lost, at_ns)
             self._habits.lost_response_ns = at_ns
         self._settle(done)
         return done
@@ -349,7 +353,10 @@ class NetworkPairing:
         waiting = self._readings[0].waiting
         if not self._habits.ids_vary:
             return len(waiting)
-        return sum([one.transaction_id == request.transaction_id for one in waiting])
+        if request.adu is None:
+            return sum([one.adu is None for one in waiting])
+        same = request.adu.transaction_id
+        return sum([one.adu is not None and one.adu.transaction_id == same for one in waiting])
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
         """Remove the oldest of too many waiting requests, and add its transaction to `done`."""
@@ -374,19 +381,23 @@ class NetworkPairing:
             # Usually one request waits. This shortcut makes pairing an ADU take 8 instead of 13 us.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
-            done.append(self._with_response(response, one, since_ns, place))
+            done.append(self._answered_transaction(response, one, since_ns, place))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
-        readings: list[PairReading] = []
+        found: list[tuple[float, PairReading, PairOption]] = []
         for reading in self._readings:
-            found = self._options(reading, response, place, is_only_one=is_only_one)
-            for option in found[1:]:
-                other = reading.copy()
-                other.take(option, response, self._habits, since_ns, place)
-                readings.append(other)
-            reading.take(found[0], response, self._habits, since_ns, place)
-            readings.append(reading)
-        self._readings = readings
+            best, *others = self._options(reading, response, place, is_only_one=is_only_one)
+            cost = likely_cost(reading)
+            found += [(cost + option.likely_cost(reading), reading, option) for option in others]
+            found.append((cost + best.likely_cost(reading), reading, best))
+        taken = _likeliest(found, most_readings(len(first.waiting)))
+        self._readings = []
+        for _, reading, option in taken:
+            other = reading.copy() if len(taken) > 1 else reading
+            other.take(option, response, self._habits, since_ns, place)
+            if len(taken) < len(found):
+                other.steps = (*other.steps[:-1], other.steps[-1]._replace(is_sure=False))
+            self._readings.append(other)
         self._habits.last_response_ns = response.end_ns
         self._settle(done)
         if overlaps and len(self._readings) == 1:
@@ -405,7 +416,7 @@ class NetworkPairing:
         found = [*options(reading, response, place, self._habits)]
         is_before = all(option.request is REQUEST_BEFORE for option in found)
         if found and is_before and is_only_one:
-            one = self._of_other_id(reading, response, place)
+            one = self._request_with_other_id(reading, response, place)
             if one is not None and one.transaction_id == response.transaction_id:
                 if self._habits.ids_vary:
                     return [PairOption(0.0, one)]
@@ -413,11 +424,14 @@ class NetworkPairing:
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
-        if is_only_one and (one := self._of_other_id(reading, response, place)) is not None:
+        if (
+            is_only_one
+            and (one := self._request_with_other_id(reading, response, place)) is not None
+        ):
             return [PairOption(0.0, one)]
         return [PairOption(UNASKED, None)]
 
-    def _of_other_id(
+    def _request_with_other_id(
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
         """Return the request that a response with another id answers; None if that is doubtful.
@@ -452,7 +466,7 @@ class NetworkPairing:
         """True if a response may answer a request from the time at which the capture lost bytes."""
         return lost_ns is not None and response.start_ns - lost_ns <= TIMEOUT_NS
 
-    def _lose_responses(self, lost: int, at_ns: int) -> None:
+    def _note_lost_responses(self, lost: int, at_ns: int) -> None:
         runs: list[tuple[float, float, int, int, PairReading]] = []
         is_counted = True
         for reading in self._readings:
@@ -473,12 +487,16 @@ class NetworkPairing:
             self._doubt_order(_open_in(self._readings[0]), others_answered=self._doubt is None)
         if len(runs) == 1 and not runs[0][3]:
             return
+        runs = [run for run in runs if run[0] <= limit]
+        taken = _likeliest(runs, most_readings(len(self._readings[0].waiting)))
         self._readings = []
-        for total, cost, start, count, reading in runs:
-            if total <= limit:
-                other = reading.copy()
-                other.lose(start, count, cost, at_ns)
-                self._readings.append(other)
+        for _, cost, start, count, reading in taken:
+            if len(taken) < len(runs):
+                for one in reading.waiting[: max(start + count for *_, start, count, _ in runs)]:
+                    one.may_be_lost = True
+            other = reading.copy()
+            other.suppose_lost_responses(start, count, cost, at_ns)
+            self._readings.append(other)
 
     def _doubt_order(self, open_: list[OpenRequest], *, others_answered: bool = False) -> None:
         """Doubt the order anew after a loss; a doubt that a choice began stays one."""
@@ -552,7 +570,7 @@ class NetworkPairing:
             if self._may_lack_request_of(response):
                 outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
-        return self._with_response(
+        return self._answered_transaction(
             response,
             step.requests[0],
             step.since_ns,
@@ -567,7 +585,7 @@ class NetworkPairing:
             return self._joined
         return self._is_near_loss(self._requests_lost_ns, response)
 
-    def _with_response(
+    def _answered_transaction(
         self,
         response: Adu,
         one: OpenRequest,
@@ -686,3 +704,14 @@ class NetworkPairing:
 def _open_in(reading: PairReading) -> list[OpenRequest]:
     """Return the requests of a reading that have no response, in the order of their sending."""
     return sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
+
+
+def _likeliest(found: list[_Costed], most: int) -> list[_Costed]:
+    """Return the cheapest of some ways to pair, at most `most`, in the given order.
+
+    The first field of each is its cost.
+    """
+    if len(found) <= most:
+        return found
+    cheapest = sorted(range(len(found)), key=lambda place: found[place][0])[:most]
+    return [found[place] for place in sorted(cheapest)]

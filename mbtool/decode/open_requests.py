@@ -19,6 +19,7 @@ SMALLEST_RESPONSE = 9
 """Bytes of the shortest response over Modbus/TCP: an exception response."""
 
 _EXCEPTION_PDU = 2
+"""The size in bytes of the PDU of an exception response."""
 _ADDED_BYTES = {Transport.TCP: 7, Transport.RTU_TCP: 3}
 """By transport, the number of bytes that an ADU has besides its PDU."""
 

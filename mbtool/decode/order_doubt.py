@@ -16,19 +16,20 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.decode.open_requests import OpenRequest
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
 
 MAX_SHIFT = 64
-"""If a master had more requests open at once, only a silence ends the doubt."""
+"""Responses are tried with requests up to this many places earlier or later. If a master had more
+requests open at once, only a silence ends the doubt."""
 MAX_IDS = 64
-"""If the requests since the loss have more transaction ids, all exclusions are forgotten."""
+"""The doubt is examined by transaction id for at most this many ids. At a request with a further
+id, all that was excluded so far is forgotten, and the doubt begins anew."""
 
 
 class OrderDoubt:
@@ -75,7 +76,9 @@ class OrderDoubt:
             queue.exclude_shifts(response, place, request, shifts, is_whole=self._is_whole)
 
     def is_settled(self, most_waiting: int) -> bool:
-        """True if no other order is possible for a master with so many requests open at most."""
+        """True if no other order is possible for a master with at most `most_waiting` open
+        requests.
+        """
         if most_waiting > MAX_SHIFT or not self._queues:
             return False
         shifts = self._shifts(most_waiting)

@@ -1,7 +1,7 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
 # The last request is the pending one; earlier requests without a response stay open for a while
-# (line_requests.py). A response belongs to an open request of its unit and function:
+# (OpenLineRequests). A response belongs to an open request of its unit and function:
 #
 #     form      The response fits the request: the number of values, what it repeats of the request.
 #               A response that fits no open request goes to the pending one, as malformed.
@@ -27,12 +27,13 @@
 # counts the requests before it that had no answer. The transactions of one unit come in the order
 # of their requests.
 #
-# Memory: the open requests (see line_requests.py), MAX_HELD responses for each of at most 247
+# Memory: the open requests (see OpenLineRequests), MAX_HELD responses for each of at most 247
 # units, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
@@ -50,42 +51,44 @@ from mbtool.decode.transactions import (
 )
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
-from mbtool.modbus.adu import Verdict
+from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.expected_response import ExpectedResponse, is_response_code
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.decode.stream_progress import AduPlace
-    from mbtool.modbus.adu import Adu, Skipped
-    from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
-"""A request without a response is given up after this time, in ns. No master waits so long, so a
+"""A request that got no response within this time (ns) is given up. Masters wait less, so that a
 late response is still paired with its request."""
 ENOUGH_OVERTAKEN = 3
 """The line has two masters if this many of the last RECENT_REQUESTS requests were overtaken by
 another request and then answered. With one master, a response comes after the next request only if
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
+"""The number of last requests among which ENOUGH_OVERTAKEN must be overtaken and then answered."""
 EVEN = 0.5
-"""The confidence (0 to 1) of each of two explanations that are equally likely."""
+"""The confidence (0 to 1) of a transaction whose response may as well belong to another request of
+the unit."""
 EQUAL = 0.8
-"""Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
+"""The waits before requests count as one time-out if the shortest is at least this share (0 to 1)
+of the longest. Then there is one master, and late responses do not prove two."""
 MAX_HELD = 4
-"""The most responses of one unit that are held back."""
+"""At most this many responses of one unit wait until a later frame shows which requests they
+answer."""
 LEAST_DAMAGED = 4
-"""The number of bytes that belong to no frame from which on they may be a damaged request."""
+"""Bytes in no frame are taken for a damaged request if at least this many stand in a row; the next
+response may then be the answer to it."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"
 )
 
 APART = 0.25
-"""Two responses of a unit are two answers if the second comes later than the first by at least this
-share (0 to 1) of the time that the first took; a repeated frame comes sooner."""
+"""Two responses of a unit answer two requests if the second begins later than the end of the first
+by at least this share (0 to 1) of the time that the first took. A second copy of the same response
+comes sooner."""
 
 
 class _HeldChain(NamedTuple):
@@ -98,8 +101,8 @@ class _HeldChain(NamedTuple):
 
     @property
     def until_ns(self) -> int:
-        """If the unit sends no other response until this time (ns), each response stays with its
-        own request.
+        """The time (ns) from which on, if the unit sent no other response, each response is paired
+        with its own request.
         """
         return min(
             self.responses[-1].end_ns + 2 * self._taken_ns,
@@ -108,7 +111,9 @@ class _HeldChain(NamedTuple):
 
     @property
     def apart_ns(self) -> int:
-        """The unit's next answer comes at least so long (ns) after its last one."""
+        """The least time (ns) from the end of the unit's last response to its response to another
+        request; a copy of the last response comes sooner.
+        """
         return int(APART * self._taken_ns)
 
     @property
@@ -246,8 +251,9 @@ class Pairing:
             # The damaged bytes were its request.
             return [*self._alone(response, Outcome.NOT_CAPTURED)]
         if pending is not None and not (self._earlier.open or self._held):
+            # The usual case, before the general one.
             self._pending = None
-            return [self._answered(pending, response)]  # The usual case, before the general one.
+            return [self._answered_transaction(pending, response)]
         done: list[Transaction | WireEvent] = []
         if response.unit in self._held:
             if pending is not None and self._extends_held(pending, response):
@@ -291,7 +297,7 @@ class Pairing:
 
     def _alone(self, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> list[Transaction]:
         """Return the transaction of a response that belongs to no request."""
-        self._earlier.note_heard(response.unit)
+        self._earlier.note_unrequested_response(response.unit)
         if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
         # If the line shows no silences that tell a retry, this response may be a repeater's copy of
@@ -316,7 +322,7 @@ class Pairing:
     def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:
         self._pending = None
         done = self._unanswered_of(self._earlier.take_all_of(response.unit))
-        return [*done, self._answered(pending, response)]
+        return [*done, self._answered_transaction(pending, response)]
 
     def _answer_earlier(
         self, earlier: OpenLineRequest, response: Adu
@@ -330,7 +336,11 @@ class Pairing:
             is_late = not (earlier.waits or self._has_told)
             if is_late and not self._has_timeout():
                 confidence = EVEN
-        done.append(self._answered(earlier.adu, response, is_late=is_late, confidence=confidence))
+        done.append(
+            self._answered_transaction(
+                earlier.adu, response, is_late=is_late, confidence=confidence
+            )
+        )
         return done
 
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
@@ -380,7 +390,7 @@ class Pairing:
         done = self._unanswered_of(self._earlier.take_all_of(unit))
         self._earlier.put_back(held.requests[-1])
         for request, one in zip(held.requests, held.responses, strict=False):
-            done.append(self._answered(request, one, is_late=True))
+            done.append(self._answered_transaction(request, one, is_late=True))
         return done
 
     def _release(self, unit: int, confidence: float = 1.0) -> list[Transaction]:
@@ -393,10 +403,10 @@ class Pairing:
         done = [self._unanswered_request(held.requests[0])]
         done += self._unanswered_of(self._earlier.take_all_of(unit))
         for request, response in zip(held.requests[1:], held.responses, strict=True):
-            done.append(self._answered(request, response, confidence=confidence))
+            done.append(self._answered_transaction(request, response, confidence=confidence))
         return done
 
-    def _answered(
+    def _answered_transaction(
         self, request: Adu, response: Adu, *, is_late: bool = False, confidence: float = 1.0
     ) -> Transaction:
         """Return the transaction of a request and its response.
@@ -411,7 +421,7 @@ class Pairing:
         if self._ends.timed:
             self._earlier.note_response(request.unit, taken_ns)
         else:
-            self._earlier.note_heard(request.unit)
+            self._earlier.note_unrequested_response(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
         done = with_response(self._ends, request, response, retries, ())
         if confidence < 1.0:
@@ -485,21 +495,25 @@ def _may_echo(pending: Adu, request: Adu) -> bool:
 #
 # A request stays open until its unit answers a later request, until the unit has left more than
 # MAX_OF_UNIT requests in a row without a response, or until the caller takes it out as too old. A
-# unit that has left so many requests unanswered counts as switched off: its further requests stay
+# unit that has left that many requests unanswered counts as switched off: its further requests stay
 # open only if a second master may have sent the next request while the first one still waited.
 #
 # Memory: MAX_OPEN requests, and one record of times for each of at most 247 units.
 
 MAX_OF_UNIT = 4
-"""The most open requests of one unit."""
+"""At most this many requests of one unit stay open; a further one closes the oldest without a
+response. A unit that left more in a row unanswered counts as switched off."""
 MAX_OPEN = 32
-"""The most open requests of one line."""
+"""At most this many requests of one line stay open; a further one closes the oldest without a
+response."""
 ENOUGH_TIMES = 3
-"""The times of a unit are known once it has sent so many responses in time."""
+"""The response times of a unit are compared with new ones once this many responses came in time."""
 BLOCK_NS = 16_000_000
-"""FTDI adapters deliver every 16 ms (in ns) by default."""
+"""The time (ns) by which an adapter may deliver bytes late: FTDI adapters deliver every 16 ms by
+default. A response is called too early for its request only by more than this."""
 UNUSUAL = 2
-"""A response may take this many times as long as the slowest one of its unit so far."""
+"""A response is too late for its request if it takes more than this many times as long as the
+slowest response of its unit so far."""
 
 
 class OpenLineRequest(NamedTuple):
@@ -539,12 +553,12 @@ class OpenLineRequests:
     def add(self, one: OpenLineRequest) -> list[OpenLineRequest]:
         """Add a request that another one followed; return the requests that no longer stay open."""
         number = one.adu.unit
-        unit = self._of(number)
+        unit = self._times_of_unit(number)
         unit.silent += 1
         if one.waits is False and unit.silent > MAX_OF_UNIT:
-            return [*self._take(self._of_unit(number)), one]
+            return [*self._take(self._requests_of_unit(number)), one]
         self.open.append(one)
-        if len(of_unit := self._of_unit(number)) > MAX_OF_UNIT:
+        if len(of_unit := self._requests_of_unit(number)) > MAX_OF_UNIT:
             return self._take(of_unit[:1])
         return self._take(self.open[:1]) if len(self.open) > MAX_OPEN else []
 
@@ -568,13 +582,13 @@ class OpenLineRequests:
 
         These no longer stay open, as a slave answers in order.
         """
-        of_unit = self._of_unit(one.adu.unit)
+        of_unit = self._requests_of_unit(one.adu.unit)
         taken = self._take(of_unit[: of_unit.index(one) + 1])
         return taken[:-1]
 
     def take_all_of(self, unit: int) -> list[OpenLineRequest]:
         """Take out the requests to a unit that answered a later request."""
-        return self._take(self._of_unit(unit)) if self.open else []
+        return self._take(self._requests_of_unit(unit)) if self.open else []
 
     def take_sent_before(self, time_ns: int) -> list[OpenLineRequest]:
         """Take out the requests that ended before `time_ns`."""
@@ -584,15 +598,15 @@ class OpenLineRequests:
         taken, self.open = self.open, []
         return taken
 
-    def note_heard(self, number: int) -> None:
+    def note_unrequested_response(self, number: int) -> None:
         """Note that a unit has sent a response that belongs to no request."""
-        self._of(number).silent = 0
+        self._times_of_unit(number).silent = 0
 
     def note_response(self, number: int, taken_ns: int) -> None:
         """Note the time (ns) that a unit took to respond."""
         unit = self._units.get(number)
         if unit is None:
-            unit = self._of(number)
+            unit = self._times_of_unit(number)
         unit.silent = 0
         unit.number += 1
         if taken_ns > unit.slowest_ns:
@@ -605,22 +619,22 @@ class OpenLineRequests:
 
         An adapter that delivers in blocks makes times shorter or longer by up to BLOCK_NS.
         """
-        times = self._of(unit)
+        times = self._times_of_unit(unit)
         is_known = times.number >= ENOUGH_TIMES
         return is_known and max(2 * taken_ns, taken_ns + BLOCK_NS) < times.fastest_ns
 
     def can_take(self, unit: int, taken_ns: int) -> bool:
         """True if a unit may take `taken_ns` to respond, as far as its times are known."""
-        times = self._of(unit)
+        times = self._times_of_unit(unit)
         return times.number < ENOUGH_TIMES or taken_ns <= UNUSUAL * times.slowest_ns
 
-    def _of(self, unit: int) -> _Unit:
+    def _times_of_unit(self, unit: int) -> _Unit:
         found = self._units.get(unit)
         if found is None:
             found = self._units[unit] = _Unit()
         return found
 
-    def _of_unit(self, unit: int) -> list[OpenLineRequest]:
+    def _requests_of_unit(self, unit: int) -> list[OpenLineRequest]:
         return [one for one in self.open if one.adu.unit == unit]
 
     def _take(self, some: list[OpenLineRequest]) -> list[OpenLineRequest]:

@@ -47,15 +47,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import Enum, auto
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Connection, Direction, Endpoint, EventKind, StreamPlace, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded, stream_splitter
 from mbtool.decode.stream_progress import OTHER
-from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH
+from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH, MbapSplitter
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
 from mbtool.modbus.functions import FUNCTIONS
@@ -63,10 +64,6 @@ from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from mbtool.core import Connection, Endpoint, StreamPlace
-    from mbtool.framing.mbap import MbapSplitter
     from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 
     _Splitters = dict[Direction, MbapSplitter | RtuStreamSplitter]
@@ -106,16 +103,24 @@ def begins_tls_record(head: bytes) -> bool:
 
 
 ENOUGH_ADUS = 3
+"""A connection is taken for Modbus after this many well-formed ADUs in a row."""
 MAX_MALFORMED = 3
+"""A connection is taken for another protocol after this many malformed ADUs."""
 MAX_UNDECIDED_BYTES = 2048
+"""A connection is taken for another protocol after this many bytes without a decision."""
 GAP_BYTES = 64
+"""A gap in a stream counts as this many bytes towards MAX_UNDECIDED_BYTES."""
 MAX_NOISE = MAX_RTU_ADU
+"""Where RTU over TCP is not expected, it is excluded after this many bytes of one direction without
+a frame."""
 MAX_MBAP_NOISE = 520
-"""Bytes of a direction without an ADU after which unexpected Modbus/TCP is ruled out: the rests of
-two ADUs whose beginnings the capture lacks."""
+"""Where Modbus/TCP is not expected, it is excluded after this many bytes of one direction without
+an ADU. That is room for the rests of two ADUs whose beginnings the capture lacks."""
 MAX_HELD_EVENTS = 8
+"""At most this many events of an undecided connection are kept."""
 MAX_SLAVES = 65536
-"""So many slaves are remembered; of further ones the first is forgotten."""
+"""The endpoints of at most this many slaves are remembered; a further one makes the oldest be
+forgotten."""
 
 _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept per direction: the longest RTU frame and one more.
 
@@ -300,9 +305,9 @@ class ProtocolDetector:
         """The decoder if Modbus/TCP was detected, with `connection.master` as master; else None."""
         return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
-    def in_detected_roles(self, event: WireEvent) -> WireEvent:
+    def with_detected_roles(self, event: WireEvent) -> WireEvent:
         """Return an event of the connection with its master and slave as they were detected."""
-        return self._candidates[0].in_own_roles(event) if self._candidates else event
+        return self._candidates[0].with_assigned_roles(event) if self._candidates else event
 
     @property
     def _expected(self) -> _ProtocolCandidate | None:
@@ -359,7 +364,7 @@ class ProtocolDetector:
         if candidate.is_confirmed and not candidate.is_rtu:
             self._slaves.add(candidate.slave)
         self._candidates = [candidate]
-        events = [candidate.in_own_roles(event) for event in self._held]
+        events = [candidate.with_assigned_roles(event) for event in self._held]
         decoded = [*events, *candidate.decoded]
         self._held.clear()
         candidate.decoded.clear()
@@ -416,14 +421,14 @@ class _ProtocolCandidate:
             ConnectionDecoder, connection, rtu=rtu, joined=joined, timed=timed
         )
         self._splitters: _Splitters | None = None
-        """Splitters of both directions that look for the first ADU; None once it was found, and if
-        the protocol is expected. What came before it is decoded only then: to pair what another
-        protocol's connection lacks would take long."""
+        """The splitters of both directions that look for the first ADU. None once an ADU was found,
+        and if the protocol is expected: then all bytes go to the decoder."""
         if not (expected or connection.is_udp):
             self._splitters = {each: stream_splitter(each, rtu=rtu) for each in OTHER}
         self._postponed: list[Callable[[], list[Decoded]]] = []
-        """Calls of the decoder with what came before the first ADU; they hold no more than
-        MAX_UNDECIDED_BYTES."""
+        """Calls of the decoder with the bytes before the first ADU, of at most MAX_UNDECIDED_BYTES
+        in all. They are made once an ADU was found: for another protocol, they would take time in
+        vain."""
         self.decoded: list[Decoded] = []
         """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False
@@ -563,7 +568,7 @@ class _ProtocolCandidate:
             elif one.kind not in (EventKind.GAP, EventKind.CUT):
                 self.well_formed = 0
 
-    def in_own_roles(self, event: WireEvent) -> WireEvent:
+    def with_assigned_roles(self, event: WireEvent) -> WireEvent:
         """Return an event with master and slave as this candidate assigns them.
 
         An event with raw bytes keeps its source and destination: they name who sent the bytes.

@@ -8,15 +8,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import msgspec
 
-from mbtool.core import Direction
+from mbtool.core import Direction, StreamPlace
 from mbtool.packets.stream import LEAD
-
-if TYPE_CHECKING:
-    from mbtool.core import StreamPlace
 
 _KNOWN_START = 8
 """The number of first bytes of a response that tell its unit and function: MBAP and function
@@ -111,14 +106,14 @@ class StreamProgress:
             self.captured, self.lost_ns = received, None
         elif not self._missing:
             return 0
-        return self._tell(received, received)
+        return self._bytes_lost_before(received, received)
 
     def read(self, start: int, end: int) -> int:
         """Note an ADU; return the number of bytes lost between the ADU before it and this one.
 
         `start` and `end` are the stream positions of its first byte and of the byte behind it.
         """
-        lost = self._tell(start, end) if self._missing else 0
+        lost = self._bytes_lost_before(start, end) if self._missing else 0
         self._known = max(end, self._known)
         self._missing = 0
         self.has_part = False
@@ -139,11 +134,11 @@ class StreamProgress:
     def end(self) -> int:
         """End this direction; return the number of bytes lost behind its last ADU."""
         if self.captured is None:
-            return self.without_places()  # Nothing of this direction was captured.
+            return self.take_missing_bytes()  # Nothing of this direction was captured.
         end = max(self.captured, self._acknowledged)
-        return self._tell(end, end) if self._missing or end > self.captured else 0
+        return self._bytes_lost_before(end, end) if self._missing or end > self.captured else 0
 
-    def without_places(self) -> int:
+    def take_missing_bytes(self) -> int:
         """Return the number of bytes that are missing in the gaps since the last call.
 
         Used if the source gives its segments no stream positions, and if it gives no segments.
@@ -158,7 +153,7 @@ class StreamProgress:
         self.captured = self._known = 0 if position < LEAD // 2 else position
         return self.captured
 
-    def _tell(self, position: int, known: int) -> int:
+    def _bytes_lost_before(self, position: int, known: int) -> int:
         lost = position - self._known
         self._known = max(known, self._known)
         return max(lost, 0)

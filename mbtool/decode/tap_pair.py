@@ -3,7 +3,7 @@
 # A side is one tap with a splitter of its own, which knows the direction of its bytes. The events
 # of both sides (ADUs and skipped bytes) are merged into the order in which they were sent, and go
 # to one pairing. Times alone do not give that order, as each adapter has its own delay; the
-# alignment of requests with responses does (tap_alignment.py). If no alignment decides, times do.
+# alignment of requests with responses does. If no alignment decides, times do.
 #
 # A side is known up to a time if all its events that began before that time were found. That is the
 # time of the first byte that its splitter still holds. If the splitter holds none, it is the time
@@ -30,14 +30,14 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import islice, takewhile
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
-from mbtool.decode.connections import skipped_event
+from mbtool.decode.connections import Decoded, skipped_event
 from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
@@ -46,12 +46,6 @@ from mbtool.modbus.expected_response import is_response_code, is_response_to
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import SerialFormat
-    from mbtool.decode.connections import Decoded
 
 # Aligns the requests that one tap heard with the responses that another tap heard.
 #
@@ -78,6 +72,8 @@ SKEW_NS = 50_000_000
 the latency timer of an FTDI adapter holds bytes back."""
 
 MAX_ALIGNED = 8
+"""At most this many requests, and this many responses, are compared at one time to pair the first
+of them."""
 
 _MISMATCH_NS = 4 * SKEW_NS
 """Cost (ns) of aligning a request and a response of the same unit and function of which the
@@ -91,6 +87,7 @@ _FIRST_UNSOLICITED_NS = SKEW_NS
 """Cost (ns) of a response without a request if it is the first of a capture: its request may have
 been sent before the capture."""
 _IMPOSSIBLE_NS = sys.maxsize
+"""The cost (ns) of a pair that is excluded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,10 +206,13 @@ def _unsolicited_cost(response: Adu, until_ns: int, is_first: bool) -> int:
 
 
 LOOKAHEAD_NS = 2 * SKEW_NS
+"""An event is paired once both sides are known up to this time (ns) after it."""
 MAX_HELD = 512
-"""The most events that wait for the pairing. A line at 115200 baud carries so many frames in a
-second, if they are the shortest ones."""
+"""At most this many events wait until both sides are known; beyond it, the first is paired at once.
+A line at 115200 baud has about this many of the shortest frames in 1 s."""
 MISPLACED_FRAMES = 4
+"""If the first frames that fit one direction only are all on the wrong side, an event reports
+exchanged sides after this many."""
 
 _SPEAKERS = {Direction.REQUEST: "the master", Direction.RESPONSE: "a slave"}
 
@@ -270,7 +270,7 @@ class TapPair:
         for side in self._sides.values():
             side.advance(now_ns)
         decoded += self._take_known()
-        if not any(side.is_busy for side in self._sides.values()):
+        if not any(side.has_pending_events for side in self._sides.values()):
             decoded += self._pairing.advance(now_ns)
         return decoded
 
@@ -422,7 +422,7 @@ class _TapSide:
         return self._held[0].start_ns if self._held else self.until_ns
 
     @property
-    def is_busy(self) -> bool:
+    def has_pending_events(self) -> bool:
         return bool(self._held or self.events)
 
     def feed(self, data: bytes, ts_ns: int) -> None:

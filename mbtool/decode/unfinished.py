@@ -16,7 +16,8 @@ USUAL_NS = 1_000_000_000
 """The usual response timeout of masters, in ns. `check` gives a request as much time at the end of
 a capture (EDGE_NS in devices/checking/responses.py)."""
 SLOWER = 3
-"""A response may take this many times as long as the slowest one of its link so far."""
+"""A request counts as not answered only if the capture goes on after it for this many times the
+longest latency of its link so far."""
 
 
 def may_be_answered(waited_ns: int, slowest_ns: int, *, is_given_up: bool = False) -> bool:

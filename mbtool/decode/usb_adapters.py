@@ -29,7 +29,6 @@ import struct
 from collections import OrderedDict, defaultdict
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import TYPE_CHECKING
 
 from mbtool.core import (
     Chunk,
@@ -37,6 +36,7 @@ from mbtool.core import (
     EventKind,
     LineSettings,
     Origin,
+    Packet,
     SerialFormat,
     SerialLink,
     StreamPlace,
@@ -44,14 +44,14 @@ from mbtool.core import (
 )
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import begins_with_frame
-from mbtool.packets.usb import BULK, read_transfer
-
-if TYPE_CHECKING:
-    from mbtool.core import Packet
-    from mbtool.packets.usb import UsbTransfer
+from mbtool.packets.usb import BULK, UsbTransfer, read_transfer
 
 MAX_DEVICES = 64
+"""At most this many USB devices are followed; a further one makes the one that was silent longest
+be forgotten."""
 MAX_SETUPS = 64
+"""At most this many control transfers wait for their completion; beyond it, the oldest is
+forgotten."""
 
 _ASCII_START = re.compile(rb":[0-9A-Fa-f]{2}[0-9A-Fa-f:\r\n]*")
 _USUAL_BAUDS = (
@@ -59,9 +59,10 @@ _USUAL_BAUDS = (
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
     2000000, 3000000,
 )  # fmt: skip
+"""The baud rates that a divisor's rate is compared with (_NEAR)."""
 _NEAR = 0.03
-"""A divisor's rate is taken as a usual baud rate if they differ by at most 3 %, as two UARTs may
-differ by no more."""
+"""The rate of a divisor is shown as a usual baud rate if they differ by at most this share
+(0 to 1): two UARTs may differ by no more."""
 _PARITIES = ("N", "O", "E", "N", "N")
 """The parities in the order of CDC, FTDI and CP210x. Mark and space are read as none."""
 _SETUP = struct.Struct("<BBHHH")
@@ -90,7 +91,9 @@ _FTDI_ERRORS = (
     (0x08, "a framing error"),
     (0x10, "a break"),
 )
+"""The error bits in the second status byte of FTDI, each with its text for the user."""
 _PACKET_SIZES = (64, 512)
+"""The sizes in bytes of the packets of an FTDI adapter at USB full speed and at high speed."""
 
 
 @dataclass(slots=True)
@@ -233,7 +236,7 @@ class UsbAdapters:
         if port.is_ascii is None:
             port.is_ascii = _is_ascii(data)
         if format_ is not None:
-            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).on(link)
+            line = LineSettings(format_, port.is_ascii or format_.data_bits == 7).link_at(link)
             port.has_changed = port.line is not None and port.line != line
             port.line = line
         if packet.ts_ns < port.last_ns - MAX_BACK_NS:
@@ -315,7 +318,7 @@ def _cdc_settings(device: _Device, request: _Request, data: bytes) -> bool:
     device.maker = device.maker or Maker.OTHER
     port = device.ports[0]
     if 0 < baud < 1 << 31:  # With the highest bit set, it is a divisor (PL2303).
-        port.baud = _usual(baud)
+        port.baud = _usual_baud_near(baud)
     port.stop_bits, port.data_bits = (2 if stop == 2 else 1), bits
     port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
     return True
@@ -357,7 +360,7 @@ def _ftdi_baud(value: int, index: int) -> int:
         divisor = (value & 0x3FFF) + eighths[value >> 14 | (high & 1) << 2] / 8
         divisor = {0: 1.0, 1: 1.5}.get(value | (high & 1) << 16, divisor)
         rates.append(clock / divisor)
-    return _usual(min(rates, key=_distance))
+    return _usual_baud_near(min(rates, key=_distance))
 
 
 def _ch34x_settings(device: _Device, request: _Request, _: bytes) -> bool:
@@ -376,7 +379,7 @@ def _ch34x_settings(device: _Device, request: _Request, _: bytes) -> bool:
         port.parity = ("E" if control & 0x10 else "O") if control & 8 else "N"
     if value == 0x1312 or (code == 0xA1 and index):
         shift = 12 - 3 * (index & 3) - (index >> 2 & 1)
-        port.baud = _usual(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
+        port.baud = _usual_baud_near(48_000_000 / ((1 << shift) * (0x100 - (index >> 8))))
     return True
 
 
@@ -387,9 +390,9 @@ def _cp210x_settings(device: _Device, request: _Request, data: bytes) -> bool:
         return False
     port = device.ports[0]
     if code == 0x1E and len(data) >= 4:
-        port.baud = _usual(int.from_bytes(data[:4], "little"))
+        port.baud = _usual_baud_near(int.from_bytes(data[:4], "little"))
     elif code == 0x01 and value:
-        port.baud = _usual(3_686_400 / value)
+        port.baud = _usual_baud_near(3_686_400 / value)
     elif code == 0x03:
         parity = value >> 4 & 0xF
         port.parity = _PARITIES[parity] if parity < len(_PARITIES) else "N"
@@ -421,7 +424,7 @@ def _distance(rate: float) -> float:
     return min(abs(rate - one) / one for one in _USUAL_BAUDS)
 
 
-def _usual(rate: float) -> int:
+def _usual_baud_near(rate: float) -> int:
     """The usual baud rate next to a rate, if it is near; else the rate itself."""
     baud = min(_USUAL_BAUDS, key=lambda one: abs(rate - one) / one)
     return baud if abs(rate - baud) <= _NEAR * baud else max(1, round(rate))

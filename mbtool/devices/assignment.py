@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,6 @@ from mbtool.devices.model import Profile
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.modbus.transaction import Transaction
 
 _MAX_CACHED = 1024
@@ -154,7 +153,8 @@ class Assignments:
         # Make each profile for ASCII mode only once. Namer, which names transactions, caches what
         # it compiles from a profile by the profile's id(), which a second copy would not share.
         self._in_ascii = {
-            each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
+            each.profile.name: each.profile.with_limits_of(Transport.ASCII)
+            for each in self._assignments
         }
         seen: dict[Who, Profile] = {}
         for each in self._assignments:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import json
 import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -20,8 +21,6 @@ from mbtool.devices.model import Exceptions, Point, Profile, Radix, Timing
 from mbtool.devices.point_types import PointType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from mbtool.devices.model import Area, FunctionRule, Texts
 
 _WIDTH = 100
@@ -101,7 +100,7 @@ def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
             own = _lines(_keys(rule, leave_out=("answer",)))
             answer = _keys(rule.answer)
             if rule.answer.texts:
-                answer["texts"] = _in_hex(rule.answer.texts, 4)
+                answer["texts"] = _hex_keys(rule.answer.texts, 4)
             name = f"functions.{code}.answer"
             yield [f"[functions.{code}]", *own, "", f"[{name}]", *_lines(answer, within=name)]
 
@@ -109,7 +108,7 @@ def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
 def _exceptions(exceptions: Exceptions) -> list[str]:
     keys = _keys(exceptions)
     if exceptions.texts:
-        keys["texts"] = _in_hex(exceptions.texts, 2)
+        keys["texts"] = _hex_keys(exceptions.texts, 2)
     return _lines(keys, within="exceptions")
 
 
@@ -124,11 +123,11 @@ def _point(profile: Profile, point: Point) -> list[str]:
     if point.type in _WRITTEN_IN_HEX:
         in_hex.append("default")
     if point.type is PointType.HEX16 and point.texts:
-        keys["texts"] = _in_hex(point.texts, 4)
+        keys["texts"] = _hex_keys(point.texts, 4)
     return _lines(keys, within="points", in_hex=in_hex)
 
 
-def _in_hex(texts: Texts, digits: int) -> dict[str, str]:
+def _hex_keys(texts: Texts, digits: int) -> dict[str, str]:
     return {f"0x{number:0{digits}X}": text for number, text in texts.items()}
 
 

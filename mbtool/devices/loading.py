@@ -221,7 +221,7 @@ def _read(
         return own
     if not isinstance(extends, str):
         raise ProfileError(
-            file, "extends", f"expected a profile's name or path, not {_shown(extends)}"
+            file, "extends", f"expected a profile's name or path, not {_value_text(extends)}"
         )
     extended = _BUILT_IN / f"{extends}.toml"
     if "/" in extends or not extended.is_file():
@@ -301,7 +301,7 @@ def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
 
 def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
     if not isinstance(value, list):
-        what = f"one [{key}]" if isinstance(value, dict) else _shown(value)
+        what = f"one [{key}]" if isinstance(value, dict) else _value_text(value)
         raise ProfileError(file, key, f"expected [[{key}]] tables, not {what}")
     parts = []
     for index, item in enumerate(value):
@@ -329,7 +329,9 @@ def _side_by_side(point: Point) -> Point:
 
 def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
     if not isinstance(value, dict):
-        raise ProfileError(file, "functions", f"expected a table, [functions], not {_shown(value)}")
+        raise ProfileError(
+            file, "functions", f"expected a table, [functions], not {_value_text(value)}"
+        )
     rules = {}
     for code, rule in value.items():
         if re.fullmatch("[0-7][0-9A-Fa-f]", code) is None or int(code, 16) == 0:
@@ -350,7 +352,9 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
     `key` is the part's name for messages. Raises ProfileError for the first wrong key.
     """
     if not isinstance(value, dict):
-        raise ProfileError(file, key, f"expected a table, {{ key = value }}, not {_shown(value)}")
+        raise ProfileError(
+            file, key, f"expected a table, {{ key = value }}, not {_value_text(value)}"
+        )
     _refuse_unknown(cls, value, file, key)
     for name in _required(cls):
         if name not in value:
@@ -387,7 +391,9 @@ def _refuse_unknown(cls: type[msgspec.Struct], value: dict[str, Any], file: str,
 
 def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     if not isinstance(value, dict):
-        raise ProfileError(file, key, f"expected a table of value and text, not {_shown(value)}")
+        raise ProfileError(
+            file, key, f"expected a table of value and text, not {_value_text(value)}"
+        )
     texts = {}
     for number, text in value.items():
         try:
@@ -399,7 +405,7 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
         if parsed in texts:
             raise ProfileError(file, f"{key}.{number}", f"{parsed} has its text already")
         if not isinstance(text, str):
-            raise ProfileError(file, f"{key}.{number}", f"expected a text, not {_shown(text)}")
+            raise ProfileError(file, f"{key}.{number}", f"expected a text, not {_value_text(text)}")
         texts[parsed] = text
     return texts
 
@@ -434,11 +440,11 @@ def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, 
         of_numbers = match["path"] == "documented"
         return match["path"], _expected_list(value, choices, of_numbers=of_numbers)
     if choices:
-        return match["path"], f"expected one of {', '.join(choices)}, not {_shown(value)}"
+        return match["path"], f"expected one of {', '.join(choices)}, not {_value_text(value)}"
     problem = re.sub(
         r"`([\w| ]+?)( \| null)?`", lambda type_: _WORDS.get(type_[1], type_[1]), match["problem"]
     )
-    return match["path"], f"{problem[0].lower()}{problem[1:]}, not {_shown(value)}"
+    return match["path"], f"{problem[0].lower()}{problem[1:]}, not {_value_text(value)}"
 
 
 def _expected_list(value: object, choices: list[str], *, of_numbers: bool = False) -> str:
@@ -446,8 +452,8 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
         numbers = re.findall(r"\b(?:0x[0-9A-Fa-f]+|[0-9]+)\b", value)[:_MAX_EXAMPLES]
         example = ", ".join(numbers) or "1, 2"
     else:
-        example = _shown(choices[0] if choices and value not in choices else value)
-    return f"expected a list, for example [{example}], not {_shown(value)}"
+        example = _value_text(choices[0] if choices and value not in choices else value)
+    return f"expected a list, for example [{example}], not {_value_text(value)}"
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
@@ -467,7 +473,7 @@ def _join(key: str, name: str) -> str:
     return f"{key}.{name}" if key and name else key or name
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, datetime.date | datetime.time):

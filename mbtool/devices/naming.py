@@ -16,9 +16,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -55,12 +54,7 @@ from mbtool.modbus.functions import (
 )
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 _MAX_CACHED = 4096
 _MAX_CACHED_POINTS = 65_536
@@ -224,13 +218,13 @@ class _Vocabulary:
         meaning = self._meaning(transaction)
         if self._scale_factors is None:
             return meaning
-        return meaning.scaled(self._scale_factors.after(transaction, meaning.read))
+        return meaning.scaled(self._scale_factors.update(transaction, meaning.read))
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)
         points = self._points_of(meaning, transaction)
         findings = self._findings(meaning, transaction, points)
-        return self._named(transaction, meaning, points, findings)
+        return self._named_transaction(transaction, meaning, points, findings)
 
     def as_kind(self, named: NamedTransaction) -> NamedTransaction:
         """See Namer.as_kind."""
@@ -238,7 +232,7 @@ class _Vocabulary:
         if self.profile is None and known is not None and known.table and named.address is not None:
             # The general way below gives the same, but takes three times as long.
             address, quantity = named.address, named.quantity
-            codes = [*request_codes(named.function, address, quantity)]
+            codes = [*request_codes(named.function, address, quantity), *form_codes(named)]
             reference = write_reference(None, known.table, address, quantity)
             return msgspec.structs.replace(named, reference=reference, points=[], findings=codes)
         meaning = self._meaning(named)
@@ -247,7 +241,7 @@ class _Vocabulary:
             named, reference=meaning.reference, points=[], findings=findings
         )
 
-    def _named(
+    def _named_transaction(
         self,
         transaction: Transaction,
         meaning: _Meaning,

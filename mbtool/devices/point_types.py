@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from enum import StrEnum
 
 
@@ -62,6 +63,30 @@ class PointType(StrEnum):
         return self in (PointType.FLOAT32, PointType.FLOAT64)
 
     @property
+    def struct_code(self) -> str | None:
+        """The character of Python's module struct for values of this type, without the byte order.
+
+        None for decimal digits, strings, and registers whose bits or bytes have meanings.
+        """
+        return _STRUCT_CODES.get(self)
+
+    def number(self, data: bytes) -> float | None:
+        """Return the number in the bytes of a value, the highest byte first.
+
+        None if the bytes hold no number: a string, or digits that are not BCD.
+        """
+        if self is PointType.STRING:
+            return None
+        if self.is_bcd:
+            digits = data.hex()
+            return int(digits) if digits.isdecimal() else None
+        code = self.struct_code
+        if code is None:
+            return int.from_bytes(data, "big")
+        (number,) = struct.unpack(f">{code}", data)
+        return float(number) if self.is_float else int(number)
+
+    @property
     def is_bcd(self) -> bool:
         """True if the value is decimal digits of four bits each."""
         return self in (PointType.BCD16, PointType.BCD32)
@@ -75,6 +100,17 @@ _WORDS = {
     PointType.UINT64: 4,
     PointType.INT64: 4,
     PointType.FLOAT64: 4,
+}
+_STRUCT_CODES = {
+    PointType.UINT16: "H",
+    PointType.HEX16: "H",
+    PointType.INT16: "h",
+    PointType.UINT32: "I",
+    PointType.INT32: "i",
+    PointType.FLOAT32: "f",
+    PointType.UINT64: "Q",
+    PointType.INT64: "q",
+    PointType.FLOAT64: "d",
 }
 _RANGES = {
     PointType.UINT16: range(1 << 16),

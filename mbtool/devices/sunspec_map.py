@@ -10,16 +10,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus.tables import ADDRESSES
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     from mbtool.devices.values import PointInstance
-    from mbtool.modbus.transaction import Transaction
 
 # The code below remembers the scale factors that slaves have in registers.
 #
@@ -46,7 +44,7 @@ class ScaleFactors:
         self._names = names
         self._slaves: dict[_Slave, dict[str, int]] = {}
 
-    def after(
+    def update(
         self, transaction: Transaction, read: Sequence[tuple[int, PointInstance]]
     ) -> Mapping[str, int]:
         """Take a transaction into account, and return the slave's powers of ten, by the name of the

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
@@ -22,30 +23,18 @@ from typing import TYPE_CHECKING, Literal
 from msgspec.structs import replace
 
 from mbtool.core.errors import UsageError
-from mbtool.devices.model import WORD_BITS, Access, Point
+from mbtool.devices.model import WORD_BITS, Access, Point, Profile
 from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
 
 _MAX_CACHED = 256
 _BIT_TEXTS = {0: "off", 1: "on"}
 NO_VALUE = "no value"
 
-_FORMATS = {
-    PointType.INT16: ">h",
-    PointType.INT32: ">i",
-    PointType.INT64: ">q",
-    PointType.FLOAT32: ">f",
-    PointType.FLOAT64: ">d",
-}
-"""The formats of Python's module struct for signed and float types. All other types are unsigned
-numbers, which are read without struct."""
 # The number of significant digits to show: a 32-bit float has 7, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
 _DIGITS = 15
@@ -284,17 +273,7 @@ def _number(point: Point, raw: Sequence[int]) -> float | None:
     """
     if point.type is PointType.BIT:
         return raw[0]
-    if point.type is PointType.STRING:
-        return None
-    data = _bytes(point, raw)
-    if point.type.is_bcd:
-        digits = data.hex()
-        return int(digits) if digits.isdecimal() else None
-    form = _FORMATS.get(point.type)
-    if form is None:
-        return int.from_bytes(data, "big")
-    (number,) = struct.unpack(form, data)
-    return float(number) if isinstance(number, float) else int(number)
+    return point.type.number(_bytes(point, raw))
 
 
 def _bytes(point: Point, raw: Sequence[int]) -> bytes:
@@ -338,7 +317,7 @@ def _number_bytes(point: Point, number: float, value: float | str) -> bytes:
     size = 2 * point.words
     if point.type.is_float:
         try:
-            return struct.pack(_FORMATS[point.type], number)
+            return struct.pack(f">{point.type.struct_code}", number)
         except OverflowError:
             raise UsageError(f"{value} is too large for {point.type}") from None
     allowed = point.type.whole_numbers or range(1 << WORD_BITS)

@@ -28,14 +28,19 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 _REFUSALS = (2, 3, 4)
+"""The exception codes by which a slave refuses a range of addresses."""
 _WAITS = 3.0
-"""A master waits between cycles if that pause is longer than so many of the others, and more than
-_LEAST_WAIT_NS."""
+"""A master is said to wait between its cycles if the pause before a cycle is longer than this many
+times the median pause between the requests of the cycle, and longer than _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
+"""The least pause (ns) before a cycle that counts as a wait of the master."""
 _BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
+"""The baud rates for which a shorter cycle is forecast, if they are above the line's own."""
 _MOST_BAUDS = 2
+"""A forecast names at most this many higher baud rates."""
 _SURE = 2.5
-"""A time for each register is taken as measured from so many standard errors on."""
+"""The measured time for each further register is used if it exceeds the time of its bytes on the
+line by more than this many standard errors; else the difference may be chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +95,11 @@ class Forecast:
     cycle_ns: int
     busy_ns: int
     with_unit_ns: int
-    """The time in ns that one more unit, asked as those of the list are, adds to the cycle."""
+    """The time (ns) by which a cycle would be longer with one more unit that is asked like the
+    others."""
     at_bauds: tuple[tuple[int, int], ...]
-    """Faster baud rates, each with how much shorter it takes: only characters become shorter."""
+    """Pairs of a faster baud rate and the time (ns) by which a cycle would be shorter: only the
+    time of the characters becomes shorter."""
     waits: bool
 
 
@@ -197,7 +204,7 @@ def advise(
     saved_ns, saved = 0, 0
     for (unit, code), steps in groups.items():
         limit = min(limit_of(unit, code) or FUNCTIONS[code].limit, FUNCTIONS[code].limit)
-        known, refused = _known(polls, unit, code)
+        known, refused = _known_and_refused(polls, unit, code)
         runs = _runs(steps, known, refused, limit)
         for run in runs:
             if len(run) > 1:
@@ -212,7 +219,9 @@ def advise(
                         address=span.start,
                         quantity=len(span),
                         count=len(run),
-                        most_asked=max(_quantity(poll) for poll in _answered(polls, unit, code)),
+                        most_asked=max(
+                            _quantity(poll) for poll in _answered_polls(polls, unit, code)
+                        ),
                     )
                 )
     if not merged:
@@ -239,7 +248,7 @@ def _range(poll: PollStatistics) -> range:
     return range(first, first + _quantity(poll))
 
 
-def _answered(polls: Iterable[PollStatistics], unit: int, code: int) -> list[PollStatistics]:
+def _answered_polls(polls: Iterable[PollStatistics], unit: int, code: int) -> list[PollStatistics]:
     return [
         poll
         for poll in polls
@@ -249,9 +258,11 @@ def _answered(polls: Iterable[PollStatistics], unit: int, code: int) -> list[Pol
     ]
 
 
-def _known(polls: Sequence[PollStatistics], unit: int, code: int) -> tuple[set[int], list[range]]:
+def _known_and_refused(
+    polls: Sequence[PollStatistics], unit: int, code: int
+) -> tuple[set[int], list[range]]:
     """The addresses that the slave has given, and the ranges that it refused."""
-    known = {at for poll in _answered(polls, unit, code) for at in _range(poll)}
+    known = {at for poll in _answered_polls(polls, unit, code) for at in _range(poll)}
     refused = [
         _range(poll)
         for poll in polls
@@ -303,9 +314,9 @@ def _predicted(
 
 
 def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
-    """The time (ns) that one register or bit more takes, by least squares; at least `least`.
+    """Return the time (ns) that one register or bit more takes, by least squares.
 
-    `least` is returned as well if what is more may be chance: less than SURE standard errors.
+    Return `least` if the result is smaller, or exceeds it by at most _SURE standard errors.
     """
     counts = [count for count, _ in points]
     if len(points) < 3 or len(set(counts)) < 2:

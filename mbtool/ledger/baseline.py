@@ -79,7 +79,7 @@ def changes(old: InventoryDocument, new: InventoryDocument) -> list[InventoryCha
     for row in new.slaves:
         before = known.get(_key(row))
         if before is not None:
-            found += _of_unit(before, row, old_masters)
+            found += _unit_changes(before, row, old_masters)
     found += _macs(old, new)
     found += _absent(old, new)
     order = list(ChangeKind)
@@ -166,7 +166,9 @@ def _asked_by(rows: Iterable[SlaveRow]) -> str:
     return f" asked by {listed(masters)}" if masters else ""
 
 
-def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
+def _unit_changes(
+    before: SlaveRow, row: SlaveRow, old_masters: set[str]
+) -> Iterator[InventoryChange]:
     """Yield the changes of one unit that both inventories have.
 
     `before` is its row in the older inventory, `row` that in the newer one. `old_masters` are the
@@ -188,7 +190,7 @@ def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator
     for kind, masters in ((ChangeKind.WRITER, writers), (ChangeKind.MASTER, readers)):
         for master in masters:
             known = "" if master in old_masters else " (a new host)"
-            yield change(kind, f"{master}{known}: {_what(row, master, kind)}")
+            yield change(kind, f"{master}{known}: {_requested_text(row, master, kind)}")
     told = {*writers, *readers}
     uses = [use for use in row.uses if use.master not in told]
     for function in dict.fromkeys(use.function for use in uses):
@@ -204,7 +206,7 @@ def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator
         yield change(ChangeKind.SILENT, f"asked {count:,} times, and never answered")
 
 
-def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
+def _requested_text(row: SlaveRow, master: str, kind: ChangeKind) -> str:
     """Return a text with the functions and addresses that a new master requests from a unit.
 
     If `kind` is WRITER, the text has only the functions that write.

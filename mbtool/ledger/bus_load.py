@@ -48,14 +48,14 @@ class BusLoad:
     other_ns: int
     """The time (ns) taken by characters that belong to no frame, such as noise."""
 
-    def share(self, ns: int) -> float:
+    def share_of_time(self, ns: int) -> float:
         """Return `ns` as a share (0 to 1) of the time during which the line was watched."""
         return min(ns / self.watched_ns, 1.0) if self.watched_ns else 0.0
 
     @property
     def busy_share(self) -> float:
         """The share (0 to 1) of the watched time in which characters were on the line."""
-        return self.share(self.spent.characters_ns + self.other_ns)
+        return self.share_of_time(self.spent.characters_ns + self.other_ns)
 
     @property
     def pauses_ns(self) -> int:

@@ -20,13 +20,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MAX_BUCKETS = 1024
+"""The most buckets of a distribution; beyond it, they become twice as wide."""
 _EXACT_BITS = 64
 _STEPS = (1, 2, 5)
+"""The widths of bars are these numbers times a power of ten."""
 _MICROSECOND = 1000
 PERCENTILES = (50, 95, 99)
 """The percentiles of latencies that statistics, the report and the metrics show."""
 _FAR = 1.5
-"""Bars leave out durations beyond the 99th percentile if the greatest is so many times that."""
+"""Bars end at the greatest duration if it is at most this many times the 99th percentile, else at
+the 99th percentile."""
 
 
 class Bucket(NamedTuple):

@@ -37,14 +37,26 @@ if TYPE_CHECKING:
     from mbtool.devices.profile_match import MatchResult, ProfileMatch
 
 FITS = 80
+"""A profile fits a slave only if its score (0 to 100) is above this."""
 UNCONFIRMED = 60
+"""The greatest score (0 to 100) of a profile that does not fit."""
 MIN_EXPLAINED = 4
+"""A profile fits a slave only if at least this many different requests were accepted or refused as
+the profile predicts."""
 MODEL_WEIGHT = 10
+"""The model code counts as this many explained requests."""
 NAME_WEIGHT = 5
+"""The model's name in an identity text counts as this many explained requests."""
 BOUNDARIES = 2
+"""A profile fits only if at least this many accepted address ranges end where it says, if neither
+model code nor name confirms it."""
 _CONTRADICTION = 5
+"""A request that ended otherwise than the profile predicts counts this many times in the score."""
 _UNASKED = 2
+"""This number is added to the requests by which the score is divided, so that it is low after few
+requests."""
 _FEW_TIES = 3
+"""A text names at most this many profiles that fit equally well."""
 _MODEL_WORD = re.compile(r"(?=[a-z0-9]*\d)(?=[a-z0-9]*[a-z])[a-z0-9]{4,}")
 """A word of at least 4 letters and digits with both in it, such as lt830. Such a word names a
 model; a word of letters alone may be a vendor's name."""
@@ -104,14 +116,21 @@ def _doubt(
         return "it says a model code that no profile has", False
     if best.contradicted and score <= FITS:
         example = _contradiction(result, profile)
-        text = f"{best.profile} comes nearest, but {_share(best)} ended as its manual says"
+        text = (
+            f"{best.profile} comes nearest, but {_explained_share(best)} ended as its manual says"
+        )
         return f"{text}; for example, {example}", True
     if len(ties) > 1 and not best.is_model:
         names = listed(sorted(ties), _FEW_TIES)
-        return f"{_share(best)} ended as the manuals of {len(ties)} profiles say: {names}", False
+        return (
+            f"{_explained_share(best)} ended as the manuals of {len(ties)} profiles say: {names}",
+            False,
+        )
     if not confirmation:
-        text = f"{_share(best)} ended as the manual of {best.profile} says, but they would at other"
-        return f"{text} devices, too: nothing shows the model", True
+        text = (
+            f"{_explained_share(best)} ended as the manual of {best.profile} says, but they would"
+        )
+        return f"{text} at other devices, too: nothing shows the model", True
     if best.explained < MIN_EXPLAINED or score <= FITS:
         return _too_few(best.explained), False
     return "", False
@@ -129,7 +148,7 @@ def _too_few(requests: int) -> str:
     return f"{_requests(requests)} {is_too_few} to tell which device it is"
 
 
-def _share(match: ProfileMatch) -> str:
+def _explained_share(match: ProfileMatch) -> str:
     """Return which share of the requests ended as a profile's manual says."""
     asked = match.explained + match.contradicted
     if not match.contradicted:

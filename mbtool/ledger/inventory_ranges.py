@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 MAX_RANGES = 1024
+"""The most ranges of a set."""
 SHOWN = 8
 """The most ranges or names that a text lists, unless the caller gives another number."""
 _LAST_ADDRESS = 0xFFFF

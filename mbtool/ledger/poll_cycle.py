@@ -239,6 +239,7 @@ _SOON = 0.5
 timeout after the master has stopped waiting. If it begins later, it belongs to the next cycle of a
 list of one poll."""
 _EQUAL_PERIODS = 1.08
+"""Regular polls belong to one group if their periods differ by at most this factor."""
 _EVEN = 0.1
 """A poll comes at even distances in a cycle if the times from one of its requests to the next
 differ by at most this share of their mean."""
@@ -246,6 +247,8 @@ _LONG_PAUSE = 0.2
 """A pause in a cycle is long if it is longer than this share of the longest pause in the cycle, and
 more than _LONGER_THAN_SHORT times as long as the shortest."""
 _LONGER_THAN_SHORT = 4
+"""A pause is long only if it is more than this many times the shortest pause in the cycle; see
+_LONG_PAUSE."""
 _CONSTANT_SHARE = 0.8
 """A poll without a regular period belongs to a list if it comes equally often in at least this
 share (0 to 1) of the list's cycles."""

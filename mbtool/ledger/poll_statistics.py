@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from mbtool.ledger.unit_account import UseAccount
 
 LONG_NS = 3_000_000_000
-"""The longest periods of a poll are kept with their begins if they are at least this long (ns)."""
+"""Periods of a poll of at least this length (ns) are kept with the times at which they began, up to
+LONGEST of them."""
 LONGEST = 5
-"""At most so many of them are kept."""
+"""The number of longest periods that are kept of a poll."""
 _PERIOD_BUCKETS = 256
+"""The most buckets in the distribution of a poll's periods."""
 _USUAL = 0.25
-"""A request comes at the usual period of its poll if it differs from it by at most this share."""
+"""A request is the next one of its poll, and no retry, if the time since the last one differs from
+the poll's median period by at most this share (0 to 1)."""
 _ENOUGH_PERIODS = 5
 """A poll with fewer periods than this has no usual period."""
 _STEADY = 8
@@ -98,7 +101,7 @@ class PollStatistics:
         tally: RequestTally | None = None,
     ) -> None:
         self.use = use
-        """The use of the poll's function; its unit and its master are there."""
+        """The counts of the poll's function, with its unit and its master."""
         self.number = number
         """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key
@@ -120,6 +123,11 @@ class PollStatistics:
         self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
+
+    @property
+    def tape_key(self) -> tuple[str, str]:
+        """The key of the master's tape (RequestOrder)."""
+        return self.use.tape_key
 
     def give_up(self) -> None:
         """Add the counts to those of the function, and forget them: the tape of the master holds
@@ -155,7 +163,7 @@ class PollStatistics:
         longest = nsmallest(LONGEST, some, key=lambda one: (-one[0], one[1]))
         self.longest = tuple(one for one in longest if one[0] >= LONG_NS)
 
-    def begin_again(self, at_ns: int) -> RetryChange:
+    def note_repetition(self, at_ns: int) -> RetryChange:
         """Note a request that directly follows an equal one without a response, at `at_ns` (UTC
         ns).
 

@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 MAX_BINS = 256
+"""A row has at most this many bins; beyond it, its bins become wider."""
 MAX_HOURS = 768
-"""One month."""
+"""A row whose bins are an hour wide or wider has at most this many bins: 32 days of hours. Beyond
+it, its bins become wider."""
 MAX_CELLS = 1 << 20
+"""All rows together have at most this many bins; beyond it, the most bins of each row are
+halved."""
 _MS = 1_000_000
 _S = 1000 * _MS
 HOUR_NS = 3600 * _S
@@ -31,8 +35,10 @@ _WIDTHS_NS = (
     120 * _S, 600 * _S, 1800 * _S, HOUR_NS, 2 * HOUR_NS, 6 * HOUR_NS, _DAY, 10 * _DAY, 100 * _DAY,
     1000 * _DAY,
 )  # fmt: skip
+"""The widths of bins (ns); each is a multiple of the one before it."""
 _JUDGED_BINS = 64
-"""At most so many bins of a unit are judged: with more, single late answers would decide."""
+"""A unit is judged by at most this many bins. In more, narrower bins, single late answers would
+decide."""
 
 
 class UnitSum(IntEnum):
@@ -159,6 +165,7 @@ class Row:
         """Yield the sums for many times (UTC ns, sorted), each with the indices of the first time
         that belongs to it, and of the first time that does not.
         """
+        self.fit(times_ns)
         begin = 0
         while begin < len(times_ns):
             found = self.cell(times_ns[begin])
@@ -204,9 +211,9 @@ class Row:
         """Return the sum of some sums over all bins."""
         return sum(cell[place] for cell in self.cells.values() for place in places)
 
-    def fit(self) -> None:
-        """Make the bins wider while there are too many."""
-        while len(self.cells) > self._most and self._step + 1 < len(_WIDTHS_NS):
+    def fit(self, times_ns: Sequence[int] = ()) -> None:
+        """Make the bins wider while there are too many, with those that `times_ns` needs."""
+        while self._step + 1 < len(_WIDTHS_NS) and self._number_with(times_ns) > self._most:
             before = len(self.cells)
             self._step += 1
             ratio = _WIDTHS_NS[self._step] // self.width_ns
@@ -217,6 +224,12 @@ class Row:
                 wider[number // ratio] = cell if other is None else _added(other, cell)
             self.cells = wider
             self._every.cells -= before - len(wider)
+
+    def _number_with(self, times_ns: Sequence[int]) -> int:
+        """Return the number of bins, with those that `times_ns` needs."""
+        if len(self.cells) + len(times_ns) <= self._most:
+            return len(self.cells)
+        return len(self.cells.keys() | {at_ns // self.width_ns for at_ns in times_ns})
 
     @property
     def _most(self) -> int:

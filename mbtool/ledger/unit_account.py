@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.time_bins import Row
 
 MAX_MACS = 4
+"""The most MAC addresses that are kept of a unit or a master."""
 _NEVER_NS = -(1 << 64)
 """A time before all others."""
 
@@ -110,11 +111,11 @@ class UnitAccount:
     def note_failure(self, outcome: Outcome, at_ns: int) -> None:
         """Note that a request sent at `at_ns` had this outcome."""
         if outcome is Outcome.NO_ANSWER:
-            self.missing = _with(self.missing, at_ns)
+            self.missing = _extended_span(self.missing, at_ns)
             if at_ns > self.answered_ns:
                 self._note_silence(at_ns)
         elif outcome is Outcome.EXCEPTION:
-            self.refused = _with(self.refused, at_ns)
+            self.refused = _extended_span(self.refused, at_ns)
 
     @property
     def is_silent(self) -> bool:
@@ -199,7 +200,7 @@ def _note_mac(macs: list[str], mac: str) -> None:
         macs.append(mac)
 
 
-def _with(span: FailureSpan | None, at_ns: int) -> FailureSpan:
+def _extended_span(span: FailureSpan | None, at_ns: int) -> FailureSpan:
     """Return the time of failures so that it has one at `at_ns`, too."""
     if span is None:
         return FailureSpan(at_ns, at_ns)

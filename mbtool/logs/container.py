@@ -134,7 +134,9 @@ class Container:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         self._seal()
         record = packed(Metadata(name=name, metadata=dict(values)))
-        self._metadata.append(MetadataIndex(offset=self._next, length=len(record), name=name))
+        self._metadata.append(
+            MetadataIndex(offset=self._next_offset, length=len(record), name=name)
+        )
         self._sealed += record
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
@@ -144,7 +146,7 @@ class Container:
         )
         self._attachments.append(
             AttachmentIndex(
-                offset=self._next,
+                offset=self._next_offset,
                 length=len(record),
                 log_time=0,
                 create_time=0,
@@ -172,7 +174,7 @@ class Container:
         self._file.finish(self._summary)
 
     @property
-    def _next(self) -> int:
+    def _next_offset(self) -> int:
         """The file offset of the next record outside a chunk: behind all sealed bytes."""
         return self._file.position + len(self._sealed)
 
@@ -183,7 +185,7 @@ class Container:
         (start_ns, end_ns), self._chunk_times = self._chunk_times, None
         compressor = self._compressor if len(content) > SMALL else self._thorough
         data = compressor.compress(content)
-        offset = self._next
+        offset = self._next_offset
         record = packed(
             Chunk(
                 compression="zstd",
@@ -195,7 +197,7 @@ class Container:
             )
         )
         self._sealed += record
-        indexes_at = self._next
+        indexes_at = self._next_offset
         index_offsets = self._seal_indexes()
         self._chunk_indexes += packed(
             ChunkIndex(
@@ -207,7 +209,7 @@ class Container:
                 message_start_time=start_ns,
                 message_end_time=end_ns,
                 message_index_offsets=index_offsets,
-                message_index_length=self._next - indexes_at,
+                message_index_length=self._next_offset - indexes_at,
             )
         )
         self._chunks += 1
@@ -216,7 +218,7 @@ class Container:
     def _seal_indexes(self) -> dict[int, int]:
         offsets = {}
         for topic in self._in_chunk:
-            offsets[topic.id] = self._next
+            offsets[topic.id] = self._next_offset
             size = len(topic.index)
             self._sealed += RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD.size + size)
             self._sealed += _INDEX_HEAD.pack(topic.id, size)

@@ -221,7 +221,7 @@ class SoundRecords:
             window = self._records.look(SEARCH_BYTES + _HEAD, ahead)
             for match in _CANDIDATE.finditer(window, 0, SEARCH_BYTES + _HEAD):
                 at = ahead + match.start()
-                if match.start() < SEARCH_BYTES and self._is_target(at):
+                if match.start() < SEARCH_BYTES and self._verifiable_record_begins_at(at):
                     self._take(at)
                     self._why = why
                     return self._hole(start)
@@ -238,7 +238,7 @@ class SoundRecords:
         end = self._records.position
         return Hole(start, end, self._records.damaged(start, self._why))
 
-    def _is_target(self, ahead: int) -> bool:
+    def _verifiable_record_begins_at(self, ahead: int) -> bool:
         """True if a record that can be verified begins `ahead` bytes after the current position."""
         opcode, length = RECORD_HEAD.unpack(self._records.look(_HEAD, ahead))
         if self._length_by_fields(opcode, ahead) != length:

@@ -52,12 +52,12 @@ class IpalLines:
             activity = "command" if is_write else "interrogate"
             ends = (master, slave)
             found += self._line(
-                one.request_ns, ends, one, one.request_raw, activity, [], _asked(one)
+                one.request_ns, ends, one, one.request_raw, activity, [], _request_data(one)
             )
         if one.response_ns is not None:
             activity = "action" if is_write else "inform"
             ends = (slave, master)
-            data = {} if one.exception is not None else _answered(one)
+            data = {} if one.exception is not None else _response_data(one)
             found += self._line(one.response_ns, ends, one, one.response_raw, activity, asked, data)
         return found
 
@@ -89,7 +89,7 @@ class IpalLines:
         return msgspec.json.encode(message).decode() + "\n"
 
 
-def _asked(one: NamedTransaction) -> dict[str, int | None]:
+def _request_data(one: NamedTransaction) -> dict[str, int | None]:
     """The values that a request writes, and null for those that it reads."""
     if one.function not in _WRITES:
         return _data(one.function, one.address, one.quantity, ())
@@ -100,7 +100,7 @@ def _asked(one: NamedTransaction) -> dict[str, int | None]:
     return _data(one.function, one.address, one.quantity, one.request_values)
 
 
-def _answered(one: NamedTransaction) -> dict[str, int | None]:
+def _response_data(one: NamedTransaction) -> dict[str, int | None]:
     """The values that a response has, or that a write has set."""
     values = one.response_values
     if one.function in _WRITES and one.function != READ_WRITE_REGISTERS:

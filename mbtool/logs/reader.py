@@ -459,7 +459,7 @@ class LogReader(ClosesOnExit):
                 if not isinstance(item, NamedTransaction):
                     yield item
 
-    def heard(self) -> Iterator[Chunk | Packet | WireEvent]:
+    def captured_items(self) -> Iterator[Chunk | Packet | WireEvent]:
         """Yield the captured bytes and the events, in the order in which they were written.
 
         A log is read once: call only one of `items`, `transactions`, `evidence` and this.

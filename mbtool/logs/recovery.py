@@ -144,7 +144,7 @@ class Recovery:
             for record in head:
                 self._copy(record)
             while not self._ends:
-                self._copy(self._next())
+                self._copy(self._next_record())
             self._finish()
         finally:
             target.close()
@@ -160,7 +160,7 @@ class Recovery:
         self._records.take(min(len(MAGIC), len(self._records.look(len(MAGIC)))))
         head: list[McapRecord | Hole] = []
         while not self._ends and len(head) < MAX_HEAD_RECORDS:
-            record = self._next()
+            record = self._next_record()
             head.append(record)
             if isinstance(record, McapRecord) and self._is_of_log(record):
                 return head
@@ -178,7 +178,7 @@ class Recovery:
                 return bool(metadata.name.startswith(f"{PROFILE}."))
         return record.opcode == Opcode.CHUNK and b'"mbtool.' in record.content
 
-    def _next(self) -> McapRecord | Hole:
+    def _next_record(self) -> McapRecord | Hole:
         """Return the next record, or a hole for damaged bytes that were skipped.
 
         The last one is a DataEnd record, or a hole up to the end of the file.
@@ -199,12 +199,12 @@ class Recovery:
 
     def _copy(self, record: McapRecord | Hole) -> None:
         if isinstance(record, Hole):
-            self._lose(record)
+            self._note_lost(record)
             return
         try:
             self._copy_record(record)
         except DamageError as error:
-            self._lose(Hole(record.offset, self._records.position, error))
+            self._note_lost(Hole(record.offset, self._records.position, error))
 
     def _copy_record(self, record: McapRecord) -> None:
         match record.opcode:
@@ -233,7 +233,7 @@ class Recovery:
                     self._learn(McapRecord(record.offset, opcode, data[begin:end]))
         except ValueError as error:
             what = self._records.damaged(record.offset, str(error))
-            self._lose(Hole(record.offset, self._records.position, what))
+            self._note_lost(Hole(record.offset, self._records.position, what))
 
     def _learn(self, record: McapRecord) -> None:
         with suppress(DamageError):
@@ -253,9 +253,9 @@ class Recovery:
             topic = self._by_channel.get(channel) or self._topic_of(channel, data)
         if topic is None:
             what = self._records.damaged(offset, "a message of an unknown channel")
-            self._lose(Hole(offset, self._records.position, what))
+            self._note_lost(Hole(offset, self._records.position, what))
             return
-        self._tell(log_ns)
+        self._report_lost(log_ns)
         self._container.add_message(topic, log_ns, publish_ns, data)
         self._now_ns = log_ns
         self.result.messages += 1
@@ -295,7 +295,7 @@ class Recovery:
     def _repaired(self, error: DamageError) -> None:
         self.result.remark = self.result.remark or f"{error}; nothing is lost there"
 
-    def _lose(self, hole: Hole) -> None:
+    def _note_lost(self, hole: Hole) -> None:
         """Note damaged bytes as lost; join them to a lost part that is not yet reported.
 
         If the summary shows that the bytes held no data, they become a remark instead.
@@ -309,7 +309,7 @@ class Recovery:
             hole = Hole(self._waiting.offset, hole.end, self._waiting.error)
         self._waiting = hole
 
-    def _tell(self, next_ns: int | None) -> None:
+    def _report_lost(self, next_ns: int | None) -> None:
         """Report the lost part in `_waiting`, if there is one, and write a GAP event in its place.
 
         `next_ns` is the log time (ns) of the first message behind it; None at the end of the log.
@@ -363,7 +363,7 @@ class Recovery:
         self._ends = False
 
     def _finish(self) -> None:
-        self._tell(None)
+        self._report_lost(None)
         result = self.result
         if self._summary.messages is not None:
             result.lost_messages = max(self._summary.messages - result.messages, 0)

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from mbtool.logs.messages import LogItem
 
 _KEPT = "-kept"
-"""Stands behind the number of a file that `keep_around` keeps."""
+"""This text is put behind the number in the name of a file that `keep_around` keeps, so that the
+file is not removed."""
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
 MIN_KB = 20

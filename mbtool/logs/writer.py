@@ -10,7 +10,7 @@
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
 # LARGE bytes or more are in memory, it flushes after FLUSH_LARGE_AFTER_NS: large chunks are
 # compressed well anyway. Flushed data are synced to the disk at most once in FLUSH_AFTER_NS, by a
-# thread (disk_sync.py). A log that is converted from a file needs no ticks.
+# thread (DiskSync in complete_file.py). A log that is converted from a file needs no ticks.
 #
 # Memory: MAX_READS serial reads, MAX_WAITING messages kept back behind them, one chunk, the last
 # value of each point (points.py), and the file's indexes (container.py). Links after the first

@@ -24,11 +24,13 @@ import select
 import socket
 import ssl
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple, Self
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS, duration
@@ -42,7 +44,7 @@ from mbtool.master.other_master import (
     NoPauseError,
     OtherMaster,
 )
-from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus import Adu, Skipped, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import MAX_PDU, DirectionBy, Transport
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.response import ConnectionEnding
@@ -54,10 +56,7 @@ from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.core import Endpoint, TargetTls
-    from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
 """Timeout for opening the first connection, in seconds."""
@@ -67,21 +66,20 @@ READ_BYTES = 4096
 _LEAST_TLS_WAIT_S = 0.001
 LONGEST_WAIT_S = 3600.0
 MAX_UNREAD = 16
-ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
 """The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
 for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
-"""The longest wait in ns for a pause of another master."""
+"""A request that waits for a pause of another master fails after this time (ns)."""
 _LONGEST_LATER_TURN_NS = 180_000_000_000
-"""The same once a request was sent in a pause. Then there are long pauses, and a short one that was
-heard since, such as that before a request out of turn, is soon forgotten."""
+"""As LONGEST_TURN_NS, once a request was sent in a pause: then long pauses come, but a short one,
+such as before a request that the other master sent out of turn, may hide them for a while."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
 MOST_TIMES = 3
-"""A busy machine makes the wait for a response at most so many times as long."""
+"""On a busy machine, the wait for a response takes at most this many times as long as it should."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -130,7 +128,7 @@ class Exchange(NamedTuple):
     """Bytes that came after the request and are no ADU, such as a frame with a wrong CRC."""
 
 
-class MasterLink(ABC):
+class MasterLink(ClosesOnExit):
     """Sends requests and receives responses. A context manager whose exit closes the link."""
 
     limits: LinkLimits
@@ -198,7 +196,7 @@ class MasterLink(ABC):
         response = self._response if self._is_answered(wait_ns) else None
         return Exchange(self._request, response, tuple(self._unread))
 
-    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:  # noqa: B027 - TCP: nothing to do
+    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:
         """Before the first request listen to a serial line, which another master may poll.
 
         Listens for `listen_ns` ns, or until each poll of the other master is known; 0 for not at
@@ -207,7 +205,7 @@ class MasterLink(ABC):
         speaks with other settings.
         """
 
-    def listen(self, time_ns: int) -> None:  # noqa: B027 - TCP: nothing to do
+    def listen(self, time_ns: int) -> None:
         """Hear another master of the line for a time (ns), to learn the pauses that it leaves."""
 
     def _await_turn(self, unit: int, pdu: bytes) -> int:
@@ -255,19 +253,10 @@ class MasterLink(ABC):
             transaction_id=transaction_id,
         )
 
-    @abstractmethod
-    def close(self) -> None: ...
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def open_master(
     link: LinkSpec,
-    timeout_ns: int = ASK_TIMEOUT_NS,
+    timeout_ns: int,
     on_remark: Callable[[str], None] = lambda _: None,
     tls: TargetTls | None = None,
 ) -> MasterLink:
@@ -349,10 +338,10 @@ class TcpMaster(MasterLink):
             self.socket.sendall(adu)
         except OSError as error:
             if self._link.is_udp:
-                self._tell_failed(error)
+                self._report_failed(error)
             else:
                 self.ended = ConnectionEnding.RESET
-            self._lose()
+            self._drop_connection()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
@@ -366,7 +355,7 @@ class TcpMaster(MasterLink):
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
-            self._tell_failed(error)
+            self._report_failed(error)
             if self._link.is_udp:
                 return ()
             data, arrived_ns = b"", 0
@@ -377,7 +366,7 @@ class TcpMaster(MasterLink):
                 return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
-            self._lose()
+            self._drop_connection()
             return ()
         rest = self._splitter.restart() if self._link.is_udp else []
         return [
@@ -386,7 +375,7 @@ class TcpMaster(MasterLink):
             if (response := self._matched(event)) is not None
         ]
 
-    def _tell_failed(self, error: OSError) -> None:
+    def _report_failed(self, error: OSError) -> None:
         why = failure(error, "slave")
         if self._link.is_udp and isinstance(error, ConnectionRefusedError):
             if not self._is_refused:
@@ -413,7 +402,7 @@ class TcpMaster(MasterLink):
         """End the connection as the master, with a FIN or a RST. Pending requests are lost."""
         if self.socket is not None and ending is ConnectionEnding.RESET:
             reset_on_close(self.socket)
-        self._lose()
+        self._drop_connection()
 
     def close(self) -> None:
         if self.socket is not None:
@@ -432,7 +421,7 @@ class TcpMaster(MasterLink):
             del self._pending[event.transaction_id or 0]
         return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
 
-    def _lose(self) -> None:
+    def _drop_connection(self) -> None:
         self.close()
         self._lost.extend(number for number, _ in self._pending.values())
         self._pending.clear()
@@ -522,14 +511,14 @@ class SerialMaster(MasterLink):
         )
         self._arrivals = SerialArrivals(link.format.character_ns)
         self._doubt_ns = 0
-        """The error of the time of the last read, in ns: its bytes may have come so much later."""
+        """The error of the time of the last read (ns): its bytes may have come this much later."""
         self._pending: tuple[int, int] | None = None
         self._expected: ExpectedResponse | None = None
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
         """The other master in whose pauses requests are sent; None if there is no other master."""
         self._turns = 0
-        """The number of requests that were sent in its pauses."""
+        """The number of requests that were sent in pauses of the other master."""
         self._turn_ends_ns = 0
         """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
@@ -639,7 +628,9 @@ class SerialMaster(MasterLink):
             )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
-        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns(), unit)) < needed_ns:
+        while (
+            rest_ns := self._other.silence_left_ns(now_ns := time.monotonic_ns(), unit)
+        ) < needed_ns:
             if now_ns > until_ns or self.is_stopped():
                 raise NoPauseError(
                     f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
@@ -681,7 +672,7 @@ class SerialMaster(MasterLink):
         The wait is the timeout, or twice the longest latency heard of the unit if only this fits
         into a pause.
         """
-        rest_ns = self._on_line_ns(unit, pdu) + MARGIN_NS
+        rest_ns = self._transfer_ns(unit, pdu) + MARGIN_NS
         wait_ns = self.limits.timeout_ns
         known_ns = other.latency_ns(unit)
         if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
@@ -709,7 +700,7 @@ class SerialMaster(MasterLink):
         elif len(event.raw) >= FEW_BYTES:
             self._other.note_intrusion(event.ts_ns, self._doubt_ns)
 
-    def _on_line_ns(self, unit: int, pdu: bytes) -> int:
+    def _transfer_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with
         the silences around them.
         """
@@ -732,7 +723,8 @@ class SerialMaster(MasterLink):
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         at_ns = self._arrivals.arrived_ns(len(data), begin_ns, 0 if is_there else wait_ns, now_ns)
-        # If this process had to wait for a processor, bytes may have come after the wait was over.
+        # If other processes held the processor, the wait took longer than `wait_ns`, and the bytes
+        # may have come at any time from `at_ns` to `now_ns`.
         self._doubt_ns = now_ns - at_ns
         return data, at_ns
 

@@ -31,46 +31,47 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, LinkError
+from mbtool.core import Direction, LinkError, SerialLink
 from mbtool.core.moments import counted, duration
 from mbtool.devices import write_reference
-from mbtool.modbus import FUNCTIONS, Adu, function_name
+from mbtool.modbus import FUNCTIONS, Adu, Skipped, function_name
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mbtool.core import SerialLink
-    from mbtool.modbus import Skipped
 
 SILENT_LISTEN_NS = 1_000_000_000
 """A line on which nothing is heard for this long (ns) counts as free."""
 MOST_LISTEN_NS = 5_000_000_000
 """Listening ends after this time (ns), if the polls heard are not all known before."""
 LEAST_SEEN = 3
-"""So often a pause must have been heard before a request is sent in it."""
+"""A request is sent in a pause of the other master only if this pause was heard at least this
+often."""
 MAX_POLLS = 256
+"""At most this many different requests of the other master are kept."""
 MAX_PAUSES = 64
+"""The number of last pauses and periods that are kept of each request."""
 MAX_DOUBTS = 64
+"""The number of last spans of doubtful times that are kept."""
 MOST_DOUBT_NS = 5_000_000
-"""The time of a byte is known if it is at most so much later, in ns, than it seems."""
+"""A time is used to measure a pause or a period only if the byte came at most this much later (ns)
+than it seems."""
 MARGIN_NS = 20_000_000
-"""A request must fit into a pause with this much time to spare, in ns. USB adapters deliver bytes
-up to 16 ms late."""
+"""A request is sent in a pause only if at least this much time (ns) is left after its response. USB
+adapters deliver bytes up to 16 ms late."""
 RELIABLE = 0.9
-"""The share of the shortest pause heard that counts as the next one's length."""
+"""The next pause is expected to be at least this share (0 to 1) of the shortest one heard."""
 _PROOFS = 2
-"""A late answer of a unit counts as lost once the unit has answered so many polls after it."""
+"""After a request without an answer, its late answer may come until the unit has answered this many
+polls; then it counts as lost."""
 _STOPPED = 1.5
-"""A poll that is not heard for so many of its longest periods is no longer awaited."""
+"""A poll is no longer waited for if it was not heard for this many times its longest period."""
 FEW_BYTES = 8
-"""Fewer bytes than these, without a right frame among them, are noise and not another speaker."""
+"""Fewer bytes than this, without a frame with a correct CRC among them, are taken for noise and not
+for another master."""
 _NAMED = 3
-"""So many polls of the other master are named to the user."""
+"""An error names at most this many polls of the other master."""
 
 
 class NoPauseError(LinkError):
@@ -91,10 +92,11 @@ class HeardPoll:
     periods: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_PAUSES))
     """The last times between two of these requests."""
     shortest_period_ns: int = 0
-    """The shortest of them; 0 if the request was heard once."""
+    """The shortest of `periods`, in ns; 0 if the request was heard once."""
     usual_period_ns: int = 0
-    """Their median."""
+    """The median of `periods`, in ns; 0 if the request was heard once."""
     longest_period_ns: int = 0
+    """The longest of `periods`, in ns; 0 if the request was heard once."""
     is_followed: bool = True
     """True if nothing on the line was missed since the last of these requests."""
 
@@ -109,7 +111,7 @@ class HeardPoll:
         self.last_ns, self.is_followed = at_ns, True
 
     @property
-    def pause_ns(self) -> int:
+    def usable_pause_ns(self) -> int:
         """The silence, in ns, that surely follows the response; 0 if it was heard too rarely."""
         return round(min(self.pauses) * RELIABLE) if len(self.pauses) >= LEAST_SEEN else 0
 
@@ -167,8 +169,8 @@ class OtherMaster:
         self._used: tuple[HeardPoll, int] | None = None
         """The poll before the pause that this program used last, and its response's end (ns)."""
         self._owed: dict[int, int] = {}
-        """For each unit that left a request of the other master without its answer: so many polls
-        of it must be answered before a late answer counts as lost."""
+        """By unit that left a request of the other master unanswered: the number of polls that it
+        must still answer before the late answer counts as lost."""
         self._anew_ns = 0
         """The time since which nothing on the line was missed."""
         self._doubts: deque[tuple[int, int]] = deque(maxlen=MAX_DOUBTS)
@@ -252,14 +254,14 @@ class OtherMaster:
         """True if the pause behind each poll was heard often enough to be relied on."""
         return all(len(one.pauses) >= LEAST_SEEN for one in self.polls.values())
 
-    def rest_ns(self, now_ns: int, unit: int | None = None) -> int:
+    def silence_left_ns(self, now_ns: int, unit: int | None = None) -> int:
         """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
         tells, or if a late answer of `unit` to the other master may come.
         """
         if unit in self._owed or self._answered is None or self._last_byte_ns > self._answered[1]:
             return 0
         poll, end_ns = self._answered
-        until_ns = end_ns + poll.pause_ns
+        until_ns = end_ns + poll.usable_pause_ns
         for one in self.polls.values():
             due_ns = one.due_ns
             if due_ns is None:
@@ -272,8 +274,8 @@ class OtherMaster:
 
     @property
     def longest_pause_ns(self) -> int:
-        """The longest pause of a poll, in ns, that is certain (`pause_ns`); 0 if there is none."""
-        return max((one.pause_ns for one in self.polls.values()), default=0)
+        """The longest certain pause of a poll (`usable_pause_ns`), in ns; 0 if there is none."""
+        return max((one.usable_pause_ns for one in self.polls.values()), default=0)
 
     @property
     def greatest_pause_ns(self) -> int:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import select
 import socket
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Sequence
 from errno import ETIMEDOUT
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple
 
-from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
+from mbtool.core import LinkError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, Patience, SerialMaster
@@ -32,11 +34,6 @@ from mbtool.modbus.expected_response import EXCEPTION_SIZE, ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.ports.host_names import why_failed
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import LinkSpec
-
 _ASCII_END = b"\r\n"
 QUIET_NS = 300_000_000
 """Bytes that must get no answer have got none if nothing comes for this time, in ns, and for
@@ -51,7 +48,7 @@ _KEEP_ALIVE = (("TCP_KEEPIDLE", 1), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 1))
 """A probe is sent after one second of silence (s); one that is not answered for a second ends the
 connection."""
 _SHOWN = 32
-"""So many bytes of a damaged answer are shown."""
+"""A text shows at most this many bytes of a damaged answer."""
 
 
 class HeardAdu(NamedTuple):
@@ -67,22 +64,24 @@ class Heard(NamedTuple):
 
     raw: bytes
     adus: tuple[HeardAdu, ...]
-    """The ADUs in `raw`; fewer than sent if bytes are no ADU."""
+    """The ADUs in `raw`; bytes that are no ADU are not among them."""
     after_ns: int
     """The time from the last byte sent to the first byte that came back, in ns."""
     is_closed: bool = False
     """True if the slave closed the TCP connection."""
     was_closed: bool = False
-    """True if it had closed it before the bytes were sent, so that a new one was opened."""
+    """True if the slave had closed the connection before the bytes were sent, so that a new one was
+    opened."""
     longest_pause_ns: int = 0
     """The longest silence inside the answer that was surely heard, in ns; 0 on TCP."""
     rest: bytes = b""
-    """What came behind the last ADU on TCP and in ASCII."""
+    """The bytes behind the last ADU, on TCP and in ASCII."""
     made_pause_ns: int = 0
-    """The longest that the pause between the pieces sent on a serial line can have been, in ns."""
+    """The longest time (ns) for which the pause between the pieces sent on a serial line can have
+    lasted."""
 
 
-class Wire(ABC):
+class Wire(ClosesOnExit):
     """A link to one slave, for any bytes. A context manager whose exit closes it."""
 
     def __init__(self, timeout_ns: int) -> None:
@@ -120,17 +119,8 @@ class Wire(ABC):
         quiet_ns = max(QUIET_NS, QUIET_TIMES * self._longest_ns)
         return self.timeout_ns if awaited else min(self.timeout_ns, quiet_ns)
 
-    @abstractmethod
-    def close(self) -> None: ...
-
-    def renew(self) -> None:  # noqa: B027 - a serial line has no connections
+    def renew(self) -> None:
         """Open a new TCP connection in place of this one."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
@@ -217,10 +207,10 @@ class SerialWire(Wire):
             return _rtu_damage(raw, request)
         first, end, _ = raw.partition(_ASCII_END)
         if not end:
-            return f"a frame without its end, CR LF: {_shown(raw)}"
+            return f"a frame without its end, CR LF: {_hex_text(raw)}"
         frame = read_frame(first + end)
         if frame is None or frame.checksum.ok:
-            return f"bytes that are no frame: {_shown(raw)}"
+            return f"bytes that are no frame: {_hex_text(raw)}"
         received, computed = frame.checksum.received, frame.checksum.computed
         return f"a wrong LRC: {received:02x}, right is {computed:02x}"
 
@@ -256,11 +246,11 @@ class TcpWire(Wire):
         self._last_id = self._last_id % 0xFFFF + 1
         return mbap_adu(self._last_id, unit, pdu)
 
-    def another(self) -> TcpWire:
+    def open_another(self) -> TcpWire:
         """Return a further connection to the same slave. Raises LinkError if it is refused."""
         return TcpWire(self._link, self.timeout_ns)
 
-    def rest_silent(self, silent_ns: int) -> bool:
+    def stay_silent(self, silent_ns: int) -> bool:
         """Send nothing for `silent_ns` ns, with keep-alive probes from one second on; False if the
         connection ends meanwhile.
 
@@ -315,12 +305,12 @@ class TcpWire(Wire):
         except OSError:
             self.close()
             return Heard(b"", (), 0, is_closed=True, was_closed=was_closed)
-        return self._heard(self._wait_ns(awaited), awaited, was_closed=was_closed)
+        return self._receive(self._wait_ns(awaited), awaited, was_closed=was_closed)
 
     def hear(self, wait_ns: int, since_ns: int | None = None) -> Heard:
-        return self._heard(wait_ns, 1, since_ns=since_ns)
+        return self._receive(wait_ns, 1, since_ns=since_ns)
 
-    def _heard(
+    def _receive(
         self, wait_ns: int, awaited: int, *, was_closed: bool = False, since_ns: int | None = None
     ) -> Heard:
         raw, first_ns, is_closed = b"", 0, self._socket is None
@@ -371,8 +361,8 @@ class TcpWire(Wire):
             if protocol:
                 return f"protocol id {protocol:04X}, right is 0000"
             if len(raw) < size:
-                return f"{len(raw)} bytes of an ADU of {size}: {_shown(raw)}"
-        return f"bytes that are no ADU: {_shown(raw)}"
+                return f"{len(raw)} bytes of an ADU of {size}: {_hex_text(raw)}"
+        return f"bytes that are no ADU: {_hex_text(raw)}"
 
     def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
         if self._link.rtu:
@@ -397,14 +387,14 @@ def _rtu_damage(raw: bytes, request: bytes) -> str:
     sizes = [EXCEPTION_SIZE, *([expected.size] if expected is not None else ())]
     for size in (one + RTU_EXTRA_BYTES for one in sizes):
         if size <= len(raw) and not crc(raw[:size]):
-            return f"{_shown(raw[size:])} behind the answer"
+            return f"{_hex_text(raw[size:])} behind the answer"
     is_exception = raw[1:2] == bytes([request[0] | EXCEPTION_BIT])
     size = (EXCEPTION_SIZE if is_exception else sizes[-1]) + RTU_EXTRA_BYTES
     if len(raw) == size:
         right = crc(raw[:-CRC_BYTES]).to_bytes(CRC_BYTES, "little")
         return f"a wrong CRC: {raw[-CRC_BYTES:].hex(' ')}, right is {right.hex(' ')}"
-    return f"{len(raw)} bytes, where the answer has {size}: {_shown(raw)}"
+    return f"{len(raw)} bytes, where the answer has {size}: {_hex_text(raw)}"
 
 
-def _shown(raw: bytes) -> str:
+def _hex_text(raw: bytes) -> str:
     return raw[:_SHOWN].hex(" ")

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import msgspec
 from fastcrc import crc16
 
 from mbtool.core import Direction, EventKind, Origin
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MAX_PDU = 253
 MAX_RTU_ADU = 256
@@ -318,7 +316,7 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
     if wrong is not None:
         # The colon is character 1 of the frame, so the first digit is character 2.
         return (
-            f"a frame with {_shown(wrong[0][0])} as its character {wrong.start() + 2}, "
+            f"a frame with {_character_text(wrong[0][0])} as its character {wrong.start() + 2}, "
             "where a hexadecimal digit would be right"
         )
     if len(digits) % 2:
@@ -350,6 +348,6 @@ def _has_parity(raw: bytes) -> bool:
     return len(set(raw.translate(_ODD_ONES))) == 1 or min(raw) >= 0x80
 
 
-def _shown(character: int) -> str:
+def _character_text(character: int) -> str:
     printed = f"'{chr(character)}' ({character:02X}H)"
     return printed if 0x20 < character < 0x7F else f"{character:02X}H"

@@ -58,7 +58,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
             quantity = int.from_bytes(request[3:5])
             count = bit_bytes(quantity) if code in READ_BITS else 2 * quantity
             # If the quantity is above the limit, the count may exceed 255. Then no response fits,
-            # as no PDU is so long.
+            # as no PDU has this many bytes.
             return cls(code, bytes((code, count & 0xFF)), 2 + count)
         if code in WRITE_SEVERAL:
             return cls(code, request[:5], 5)

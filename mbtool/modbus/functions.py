@@ -49,7 +49,9 @@ class Function:
     """The most registers or bits that a request may read or write. For 17H, which does both, the
     most that it may read; WRITE_LIMIT_17H limits what it writes."""
     writes: bool = False
+    """True if a request writes registers or coils of the slave."""
     serial_only: bool = False
+    """True if the standard defines the function for serial lines only."""
 
 
 ADDRESS = ("address", 2)
@@ -62,76 +64,76 @@ _MASKS = Layout(ADDRESS, ("and_mask", 2), ("or_mask", 2))
 _DIAGNOSTICS = Layout(("sub_function", 2), tail=UncountedRegisters())
 _EMPTY = Layout()
 
-FUNCTIONS: dict[int, Function] = {  # Comments give the chapter of V1.1b3.
-    0x01: Function(  # 6.1
+FUNCTIONS: dict[int, Function] = {  # Comments give the section of the standard.
+    0x01: Function(  # V1.1b3, 6.1
         name="read coils", short="read coils", table=Table.COILS, limit=2000,
         request=_READ, response=Layout(tail=Bits()),
     ),
-    0x02: Function(  # 6.2
+    0x02: Function(  # V1.1b3, 6.2
         name="read discrete inputs", short="read discrete", table=Table.DISCRETE_INPUTS, limit=2000,
         request=_READ, response=Layout(tail=Bits()),
     ),
-    0x03: Function(  # 6.3
+    0x03: Function(  # V1.1b3, 6.3
         name="read holding registers", short="read holding",
         table=Table.HOLDING_REGISTERS, limit=125,
         request=_READ, response=Layout(tail=Registers()),
     ),
-    0x04: Function(  # 6.4
+    0x04: Function(  # V1.1b3, 6.4
         name="read input registers", short="read input", table=Table.INPUT_REGISTERS, limit=125,
         request=_READ, response=Layout(tail=Registers()),
     ),
-    0x05: Function(  # 6.5
+    0x05: Function(  # V1.1b3, 6.5
         name="write single coil", short="write coil", table=Table.COILS, writes=True,
         request=Layout(ADDRESS, tail=CoilValue()), response=_WRITE_ONE,
     ),
-    0x06: Function(  # 6.6
+    0x06: Function(  # V1.1b3, 6.6
         name="write single register", short="write register", table=Table.HOLDING_REGISTERS,
         writes=True, request=_WRITE_ONE, response=_WRITE_ONE,
     ),
-    0x07: Function(  # 6.7
+    0x07: Function(  # V1.1b3, 6.7
         name="read exception status", short="read exc status", serial_only=True,
         request=_EMPTY, response=Layout(("status", 1)),
     ),
-    0x08: Function(  # 6.8
+    0x08: Function(  # V1.1b3, 6.8
         name="diagnostics", short="diagnostics", serial_only=True,
         request=_DIAGNOSTICS, response=_DIAGNOSTICS,
     ),
-    0x0B: Function(  # 6.9
+    0x0B: Function(  # V1.1b3, 6.9
         name="get comm event counter", short="event counter", serial_only=True,
         request=_EMPTY, response=Layout(("status", 2), ("event_count", 2)),
     ),
-    0x0C: Function(  # 6.10
+    0x0C: Function(  # V1.1b3, 6.10
         name="get comm event log", short="event log", serial_only=True,
         request=_EMPTY, response=Layout(tail=Bytes()),
     ),
-    0x0F: Function(  # 6.11
+    0x0F: Function(  # V1.1b3, 6.11
         name="write multiple coils", short="write coils", table=Table.COILS,
         limit=1968, writes=True,
         request=Layout(ADDRESS, QUANTITY, tail=Bits(quantity="quantity")), response=_READ,
     ),
-    0x10: Function(  # 6.12
+    0x10: Function(  # V1.1b3, 6.12
         name="write multiple registers", short="write registers", table=Table.HOLDING_REGISTERS,
         limit=123, writes=True,
         request=Layout(ADDRESS, QUANTITY, tail=Registers(quantity="quantity")), response=_READ,
     ),
-    0x11: Function(  # 6.13
+    0x11: Function(  # V1.1b3, 6.13
         name="report server id", short="report server id", serial_only=True,
         request=_EMPTY, response=Layout(tail=Bytes()),
     ),
-    0x14: Function(  # 6.14
+    0x14: Function(  # V1.1b3, 6.14
         name="read file record", short="read file",
         request=Layout(tail=FileGroups(with_data=False)), response=Layout(tail=FileResponses()),
     ),
-    0x15: Function(  # 6.15
+    0x15: Function(  # V1.1b3, 6.15
         name="write file record", short="write file", writes=True,
         request=Layout(tail=FileGroups(with_data=True)),
         response=Layout(tail=FileGroups(with_data=True)),
     ),
-    0x16: Function(  # 6.16
+    0x16: Function(  # V1.1b3, 6.16
         name="mask write register", short="mask write", table=Table.HOLDING_REGISTERS, writes=True,
         request=_MASKS, response=_MASKS,
     ),
-    0x17: Function(  # 6.17
+    0x17: Function(  # V1.1b3, 6.17
         name="read/write multiple registers", short="read/write", table=Table.HOLDING_REGISTERS,
         limit=125, writes=True,
         request=Layout(
@@ -140,11 +142,11 @@ FUNCTIONS: dict[int, Function] = {  # Comments give the chapter of V1.1b3.
         ),
         response=Layout(tail=Registers()),
     ),
-    0x18: Function(  # 6.18; the first register is the count of those that follow
+    0x18: Function(  # V1.1b3, 6.18; the first register is the count of those that follow
         name="read fifo queue", short="read fifo", limit=31,
         request=Layout(ADDRESS), response=Layout(tail=Registers("fifo", count_width=2)),
     ),
-    0x2B: Function(  # 6.19 to 6.21
+    0x2B: Function(  # V1.1b3, 6.19 to 6.21
         name="encapsulated interface transport", short="encapsulated",
         request=Layout(tail=Choice("mei_type", {
             0x0D: Layout(tail=Bytes(count_width=0)),

@@ -250,12 +250,12 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
             what = f"{self.address} x {self.quantity or 1}"
         words = [self.time.isoformat(" "), self.link, f"unit {self.unit}", self.function_name]
         words += [what] if what else []
-        words += [f":= {_short(self.request_values)}"] if self.request_values else []
-        words += [f"-> {_short(self.response_values)}"] if self.response_values else []
+        words += [f":= {_values_text(self.request_values)}"] if self.request_values else []
+        words += [f"-> {_values_text(self.response_values)}"] if self.response_values else []
         words += [self.outcome.value] if self.exception_name is None else [self.exception_name]
         words += [] if self.latency_ms is None else [f"{self.latency_ms:.1f} ms"]
         return f"<{type(self).__name__} {' '.join(words)}>"
 
 
-def _short(values: list[int]) -> str:
+def _values_text(values: list[int]) -> str:
     return " ".join(map(str, values[:_SHOWN])) + (" ..." if len(values) > _SHOWN else "")

@@ -57,10 +57,10 @@ from mbtool.packets.stream_events import (
 )
 
 PATIENCE = 3
-"""If the capture swapped two packets of a connection, at most this many other packets of the
-connection lie between the two."""
+"""Bytes behind a hole wait for this many further segments of the connection: if the capture swapped
+two packets, at most this many lie between them."""
 PATIENCE_NS = 100_000_000
-"""If the capture swapped two packets, at most this time in ns lies between the two."""
+"""Bytes behind a hole wait at most this long (ns) for a swapped packet."""
 SYN_PATIENCE_NS = 1_000_000_000
 """A SYN that nobody answered counts as unanswered only if the connection's last sign is this long
 (ns) after it: a master waits at least 1 s before it sends a SYN again (RFC 6298, 2)."""
@@ -147,7 +147,7 @@ class TcpConnection:
         return bool(requests.held or responses.held)
 
     @property
-    def rest(self) -> RestPlace | None:
+    def rest_place(self) -> RestPlace | None:
         """The next byte of both directions; None if the connection has ended or bytes wait."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):
@@ -467,9 +467,9 @@ class TcpConnection:
             if not moved:
                 # Try first a stream whose beginning is not yet known: no gap is reported for it.
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
-                moved = any(self._give_up(stream, force) for stream in streams)
+                moved = any(self._give_up_missing_bytes(stream, force) for stream in streams)
 
-    def _give_up(self, stream: Stream, force: bool) -> bool:
+    def _give_up_missing_bytes(self, stream: Stream, force: bool) -> bool:
         """Treat the bytes missing before the first held ones as lost, if they had time to come.
 
         With `force` they need no time. Returns True if bytes or a gap were delivered.

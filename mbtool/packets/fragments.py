@@ -234,7 +234,7 @@ class Fragments:
             datagram.ending = DatagramEnd.WHOLE
             done.append(datagram)
         while len(self._datagrams) > MAX_DATAGRAMS or self._cost > MAX_FRAGMENT_BYTES:
-            done += self._give_up(next(iter(self._datagrams)), DatagramEnd.DISCARDED)
+            done += self._give_up_datagram(next(iter(self._datagrams)), DatagramEnd.DISCARDED)
         return done
 
     def advance(self, now_ns: int) -> list[Datagram]:
@@ -247,15 +247,17 @@ class Fragments:
             key, oldest = next(iter(self._datagrams.items()))
             if abs(now_ns - oldest.first_ns) < FRAGMENT_NS:
                 break
-            done += self._give_up(key, DatagramEnd.INCOMPLETE)
+            done += self._give_up_datagram(key, DatagramEnd.INCOMPLETE)
         return done
 
     def close(self) -> list[Datagram]:
         """At the end of the capture, give up the packets that are not whole, and return them."""
-        given_up = [self._give_up(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)]
+        given_up = [
+            self._give_up_datagram(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)
+        ]
         return list(chain.from_iterable(given_up))
 
-    def _give_up(self, key: tuple[str, Key], ending: DatagramEnd) -> list[Datagram]:
+    def _give_up_datagram(self, key: tuple[str, Key], ending: DatagramEnd) -> list[Datagram]:
         datagram = self._forget(key)
         if datagram.ending is DatagramEnd.WHOLE:
             return []

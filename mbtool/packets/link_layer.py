@@ -55,7 +55,7 @@ FAMILIES = frozenset(
 
 def _ethernet(data: bytes) -> int:
     kind = data[12:14]
-    return 14 if kind == b"\x08\x00" else _behind(data, kind, 14)
+    return 14 if kind == b"\x08\x00" else _ip_header_offset(data, kind, 14)
 
 
 def behind_ethernet(data: bytes, at: int) -> int:
@@ -64,10 +64,10 @@ def behind_ethernet(data: bytes, at: int) -> int:
 
     Returns NOT_IP if the frame holds no IP packet.
     """
-    return _behind(data, data[at + 12 : at + 14], at + 14)
+    return _ip_header_offset(data, data[at + 12 : at + 14], at + 14)
 
 
-def _behind(data: bytes, kind: bytes, at: int) -> int:
+def _ip_header_offset(data: bytes, kind: bytes, at: int) -> int:
     """Skip VLAN tags, HSR tags, PPPoE and MPLS; return the offset of the IP header, or NOT_IP.
 
     The first of these headers begins at `at` and has the EtherType `kind`.
@@ -96,11 +96,11 @@ def _behind_labels(data: bytes, at: int) -> int:
 
 
 def _cooked(data: bytes) -> int:
-    return _behind(data, data[14:16], 16)
+    return _ip_header_offset(data, data[14:16], 16)
 
 
 def _cooked_v2(data: bytes) -> int:
-    return _behind(data, data[:2], 20)  # The header begins with the protocol.
+    return _ip_header_offset(data, data[:2], 20)  # The header begins with the protocol.
 
 
 def _ppp(data: bytes) -> int:
@@ -111,7 +111,7 @@ def _ppp(data: bytes) -> int:
 
 
 def _cisco_hdlc(data: bytes) -> int:
-    return _behind(data, data[2:4], 4)
+    return _ip_header_offset(data, data[2:4], 4)
 
 
 def _radiotap(data: bytes) -> int:
@@ -148,7 +148,7 @@ def _wireless(data: bytes, start: int = 0, *, is_padded: bool = False) -> int:
     at = start + size
     if data[at : at + 6] != _SNAP:
         return NOT_IP
-    return _behind(data, data[at + 6 : at + 8], at + 8)
+    return _ip_header_offset(data, data[at + 6 : at + 8], at + 8)
 
 
 def wireless_macs(link_type: int, data: bytes) -> tuple[int, ...]:
@@ -161,7 +161,7 @@ def wireless_macs(link_type: int, data: bytes) -> tuple[int, ...]:
     return (*macs, start + 24) if is_relayed else macs
 
 
-def _null(data: bytes) -> int:
+def _behind_null(data: bytes) -> int:
     return 4 if data[:4] in FAMILIES else NOT_IP
 
 
@@ -170,7 +170,7 @@ def _raw(data: bytes) -> int:
 
 
 IP_FINDERS: dict[int, Callable[[bytes], int]] = {
-    0: _null,
+    0: _behind_null,
     1: _ethernet,
     9: _ppp,
     12: _raw,
@@ -179,7 +179,7 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
     101: _raw,
     104: _cisco_hdlc,
     _IEEE_802_11: _wireless,
-    108: _null,
+    108: _behind_null,
     113: _cooked,
     _RADIOTAP: _radiotap,
     228: _raw,

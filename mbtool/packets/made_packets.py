@@ -26,7 +26,7 @@ _FIRST = 1
 _WINDOW = 0xFFFF
 _HOPS = 64
 _MOST_BYTES = 0xFFFF - 20 - 20
-"""So many bytes fit into a packet of IPv4 with TCP."""
+"""The most bytes of payload in a packet of IPv4 with TCP."""
 
 
 class PacketMaker:

@@ -35,7 +35,8 @@ MAX_CAPTURED = 256 * 1024
 SEARCHED = 1024 * 1024
 """Behind damage, the next record is searched in this many bytes."""
 _NEAR_S = 24 * 3600
-"""The next record behind damage is at most so many seconds earlier or later than the last one."""
+"""Bytes behind damage are taken for a record only if its time differs by at most this (s) from that
+of the last record."""
 _MAX_ORIGINAL = 16 * 1024 * 1024
 """The most bytes that a packet had on the wire, for the search; hardware that joins TCP segments
 makes packets of up to some hundred kB."""
@@ -145,7 +146,7 @@ def next_record(window: bytes, form: PcapForm, last_s: int | None) -> int | None
     least_s, most_s = (0, 1 << 32) if last_s is None else (last_s - _NEAR_S, last_s + _NEAR_S)
     fractions = SECOND_NS // form.unit_ns
 
-    def behind(at: int) -> int:
+    def end_of_record(at: int) -> int:
         """Return the end of the record at an offset, 0 if there seems to be none."""
         seconds, fraction, captured, original = unpack(window, at)
         is_time = least_s <= seconds <= most_s and fraction < fractions
@@ -153,8 +154,10 @@ def next_record(window: bytes, form: PcapForm, last_s: int | None) -> int | None
         return at + size + captured if is_time and is_size else 0
 
     for at in range(1, len(window) - size + 1):
-        end = behind(at)
-        if end and ((is_end and end == len(window)) or (end + size <= len(window) and behind(end))):
+        end = end_of_record(at)
+        if end and (
+            (is_end and end == len(window)) or (end + size <= len(window) and end_of_record(end))
+        ):
             return at
     return None
 

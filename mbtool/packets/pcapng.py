@@ -140,7 +140,7 @@ class PcapngReader:
             if packet is not None:
                 yield packet
             header = self._stream.read(8)
-        packet = self.rest()
+        packet = self.incomplete_reads()
         if packet is not None:
             yield packet
 
@@ -174,7 +174,7 @@ class PcapngReader:
             self._read_head(body)
         return None
 
-    def rest(self) -> Packet | None:
+    def incomplete_reads(self) -> Packet | None:
         """At the end of the file, return the incomplete reads of lines and taps as a packet; None
         if there are none.
         """
@@ -275,7 +275,7 @@ class PcapngReader:
             raise self._damaged(f"more than {MAX_INTERFACES} interfaces in a section")
         link_type, _, snaplen = self._unpack(self._layout.interface, body)
         options = _options(self._layout.pair, body[8:])
-        name = _clean(options.get(OPTION_NAME, b""))
+        name = _link_name(options.get(OPTION_NAME, b""))
         resolution = (options.get(OPTION_RESOLUTION) or _MICROSECONDS)[0]
         unit = (2 if resolution & 0x80 else 10) ** (resolution & 0x7F)
         common = math.gcd(unit, SECOND_NS)
@@ -318,7 +318,7 @@ def _options(header: Struct, data: bytes) -> dict[int, bytes]:
     return options
 
 
-def _clean(name: bytes) -> str:
+def _link_name(name: bytes) -> str:
     """Turn an interface's name into a link's name: at most 64 characters, printable, no slash."""
     text = name.decode("utf-8", "replace").rstrip("\0")[:_MAX_NAME]
     return "".join(c if c.isprintable() and c != "/" else "_" for c in text)

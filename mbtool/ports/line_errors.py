@@ -144,7 +144,7 @@ class LineErrors:
         self._first = bytearray()
         self._first_ns = self._last_ns = 0
 
-    def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
+    def note_damaged(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
         """Remember the damaged bytes of one read, for the next report.
 
         `data` are all bytes of the read, and `ts_ns` is the time of the last one, in ns. `damaged`

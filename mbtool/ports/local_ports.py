@@ -131,7 +131,7 @@ class _Scan:
             unseen_processes=self.unseen,
             troubles=(
                 *_permission(self.root / "dev" / name, name),
-                *(_held(holder, name) for holder in holders),
+                *(_held_trouble(holder, name) for holder in holders),
                 *_console(name, self.consoles),
                 *_latency_timer(timer, name),
                 *_fifo(fifo, name),
@@ -229,7 +229,7 @@ def _permission(path: Path, name: str) -> list[PortTrouble]:
     return [PortTrouble(f"permission denied; {why.problem}", why.remedy)]
 
 
-def _held(holder: Holder, name: str) -> PortTrouble:
+def _held_trouble(holder: Holder, name: str) -> PortTrouble:
     return PortTrouble(
         f"held by {holder}: two readers of a port steal each other's bytes; end that program first",
         _SERVICES.get(holder.command, "").format(name=name),

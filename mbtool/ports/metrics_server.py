@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CONTENT_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
 FETCH_S = 10.0
-"""A request and its answer take at most so long (s), as long as Prometheus waits by default."""
+"""A request and its answer may take this time (s), as long as Prometheus waits by default."""
 MAX_FETCHING = 16
 
 

@@ -37,7 +37,7 @@ _USER = re.compile(r"^(\w*://)?.*@", re.DOTALL)
 """The user and the password in a URL, which no error repeats, also not one of a wrong URL."""
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _END_S = 2.0
-"""At the end, messages that wait are still published for so long (s)."""
+"""At the end, messages that wait are still published for this time (s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class MqttPublisher:
         self._client.on_connect = self._connected
         self._client.on_publish = self._note_confirmed
         self._client.on_disconnect = self._disconnected
-        self._client.on_connect_fail = lambda *_: self._tell_lost("cannot be reached")
+        self._client.on_connect_fail = lambda *_: self._report_lost("cannot be reached")
         self._client.reconnect_delay_set(1, 30)
         self._client.will_set(f"{broker.prefix}/status", b"offline", qos=1, retain=True)
         if broker.user is not None:
@@ -214,7 +214,7 @@ class MqttPublisher:
 
     def _connected(self, client: Any, _: object, __: object, reason: Any, *___: object) -> None:
         if reason.is_failure:
-            self._tell_lost(f"refuses the connection: {reason}")
+            self._report_lost(f"refuses the connection: {reason}")
             return
         client.publish(f"{self._broker.prefix}/status", b"online", qos=1, retain=True)
         if self._was_told:
@@ -230,14 +230,14 @@ class MqttPublisher:
     def _disconnected(self, *_: object) -> None:
         self._note_away()
         if not self._is_ending:
-            self._tell_lost("the connection is lost")
+            self._report_lost("the connection is lost")
 
     def _note_away(self) -> None:
         with self._changed:
             self._is_connected.clear()
             self._changed.notify()
 
-    def _tell_lost(self, why: str) -> None:
+    def _report_lost(self, why: str) -> None:
         """Tell once that the broker is away, until it is back."""
         if not self._was_told:
             self._was_told = True

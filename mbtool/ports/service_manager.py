@@ -3,7 +3,7 @@
 # The protocol of sd_notify(3): a datagram of lines NAME=value to the Unix socket that the
 # environment variable NOTIFY_SOCKET names; a name that begins with "@" is one of Linux's abstract
 # names. The variable WATCHDOG_USEC is a period in microseconds: if the manager gets no WATCHDOG=1
-# for so long, it kills the service. WATCHDOG_PID names the process that this applies to. Without
+# for this time, it kills the service. WATCHDOG_PID names the process that this applies to. Without
 # NOTIFY_SOCKET nothing is sent. If the manager accepts no message, the recording goes on.
 
 from __future__ import annotations

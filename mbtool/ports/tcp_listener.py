@@ -233,7 +233,9 @@ class TcpListener:
 
     def refusal_text(self, host: str) -> str | None:
         """Return a text that says that no peer with this address may connect; None if it may."""
-        return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
+        return (
+            None if host in self._allowed else f"{_address_text(host)} is in no network of --allow"
+        )
 
     async def serve(
         self,
@@ -324,7 +326,7 @@ def reset_on_close(connected: socket.socket) -> None:
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, no_linger)
 
 
-def _shown(host: str) -> str:
+def _address_text(host: str) -> str:
     try:
         return str(plain_address(host))
     except ValueError:

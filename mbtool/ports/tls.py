@@ -157,7 +157,7 @@ def failure(error: OSError, who: str) -> str | None:
     if alert is not None:
         words = _REFUSALS.get(alert[1]) or f"alert {alert[1].replace('_', ' ').lower()!r}"
         return f"TLS: the {who} refuses: {words}"
-    return f"TLS with the {who} failed: {_words(error)}"
+    return f"TLS with the {who} failed: {_error_text(error)}"
 
 
 def _context(protocol: int) -> ssl.SSLContext:
@@ -192,7 +192,7 @@ def _load_own(context: ssl.SSLContext, option: str, cert: str, key: str | None) 
         if error.reason == "KEY_VALUES_MISMATCH":
             problem = f"the private key in {key} is not that of this certificate"
         else:
-            problem = f"cannot be used: {_words(error)}"
+            problem = f"cannot be used: {_error_text(error)}"
         raise LinkError(f"{option} {cert}: {problem}") from None
 
 
@@ -201,7 +201,7 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
     try:
         context.load_verify_locations(path)
     except ssl.SSLError as error:
-        raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
+        raise LinkError(f"{option} {path}: cannot be used: {_error_text(error)}") from None
     ends: list[str] = []
     with suppress(UnicodeDecodeError):  # A name is not UTF-8: only the handshake can tell.
         ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
@@ -234,7 +234,7 @@ def _key_of(option: str) -> str:
     return option.removesuffix("cert") + "key"
 
 
-def _words(error: ssl.SSLError) -> str:
+def _error_text(error: ssl.SSLError) -> str:
     return (error.reason or str(error)).replace("_", " ").lower()
 
 

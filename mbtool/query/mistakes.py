@@ -36,29 +36,29 @@ def find_mistake(text: str) -> Mistake | None:
     """Return the first usual mistake in a text that is no expression; None if none is known."""
     bare = _QUOTED.sub(lambda match: "_" * len(match[0]), text)
     found = [
-        *(_of_sign(match) for match in _SIGN.finditer(bare)),
+        *(_sign_mistake(match) for match in _SIGN.finditer(bare)),
         *(Mistake(one.start(), f"write {one[0].lower()}") for one in _WORD.finditer(bare)),
-        *(_of_time(match) for match in _TIME.finditer(bare)),
-        *(_of_pattern(match) for match in _PATTERN.finditer(bare)),
-        *(_of_names(match, text) for match in _NO_OPERATOR.finditer(bare)),
+        *(_time_mistake(match) for match in _TIME.finditer(bare)),
+        *(_pattern_mistake(match) for match in _PATTERN.finditer(bare)),
+        *(_missing_operator_mistake(match, text) for match in _NO_OPERATOR.finditer(bare)),
     ]
     return min((one for one in found if one is not None), default=None)
 
 
-def _of_sign(match: re.Match[str]) -> Mistake | None:
+def _sign_mistake(match: re.Match[str]) -> Mistake | None:
     instead = _SIGNS.get(match[0])
     return None if instead is None else Mistake(match.start(), f"write {instead}")
 
 
-def _of_time(match: re.Match[str]) -> Mistake:
+def _time_mistake(match: re.Match[str]) -> Mistake:
     return Mistake(match.start(), 'write a time in quotes: "2026-11-22T09:14:03"')
 
 
-def _of_pattern(match: re.Match[str]) -> Mistake:
+def _pattern_mistake(match: re.Match[str]) -> Mistake:
     return Mistake(match.end(), f"write the text behind {match['word']} in quotes")
 
 
-def _of_names(match: re.Match[str], text: str) -> Mistake | None:
+def _missing_operator_mistake(match: re.Match[str], text: str) -> Mistake | None:
     """Tell of a name with a value behind it, but no operator between them."""
     name, value = match["name"], text[match.start("value") : match.end("value")]
     if len(value) > _LONGEST or not value.isprintable():

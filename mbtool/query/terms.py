@@ -26,7 +26,7 @@ from mbtool.modbus import FUNCTIONS
 _WITH_UNIT = re.compile(r"(?P<host>.+)/(?P<unit>[0-9]{1,3})")
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
 WRONG_CRC = 'a response with a wrong CRC or LRC is found among outcome == "no-answer"'
-"""For the user who looks for such responses."""
+"""The advice for a user whose expression names a CRC or LRC, which no field has."""
 
 
 class ValueKind(StrEnum):
@@ -79,7 +79,7 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
     if not membership:
         return _why_never_equal(left, right)
     if right.kind is ValueKind.LIST:
-        return _first(_why_never_equal(left, item) for item in right.items)
+        return _first_reason(_why_never_equal(left, item) for item in right.items)
     if right.kind is ValueKind.TEXT:
         return None if left.kind is ValueKind.TEXT else _unlike(left, right)
     return f"{right.described}, and in looks into a list: unit in (1, 2)"
@@ -93,7 +93,7 @@ def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
     `<`, `<=`, `>` or `>=`.
     """
     if compare in ("in", "not in"):
-        return _first(why_out_of_range(left, item, "==") for item in right.items)
+        return _first_reason(why_out_of_range(left, item, "==") for item in right.items)
     if left.number is not None:
         left, right = right, left
         compare = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}.get(compare, compare)
@@ -115,7 +115,9 @@ def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
 
 def _why_never_equal(left: Term, right: Term) -> str | None:
     if left.kind is ValueKind.LIST and right.kind is ValueKind.LIST:
-        return _first(_why_never_equal(one, other) for one in left.items for other in right.items)
+        return _first_reason(
+            _why_never_equal(one, other) for one in left.items for other in right.items
+        )
     for one, other in ((left, right), (right, left)):
         if one.kind is ValueKind.LIST:
             fits = not any(_why_never_equal(other, item) for item in one.items)
@@ -154,7 +156,7 @@ def _unlike(left: Term, right: Term, instead: str | None = None) -> str:
     return f"{both}; {instead or 'they cannot be compared'}"
 
 
-def _first(reasons: Iterable[str | None]) -> str | None:
+def _first_reason(reasons: Iterable[str | None]) -> str | None:
     return next((one for one in reasons if one is not None), None)
 
 
@@ -253,21 +255,21 @@ def _numbers(one: NamedTransaction) -> Iterator[float]:
             yield point.value
             if not float(point.value).is_integer():
                 yield float(f"{point.value:.{_SHOWN_DIGITS}g}")
-                yield _as_shown(point.value)
+                yield _shown_number(point.value)
 
 
-def _as_shown(number: float) -> float:
+def _shown_number(number: float) -> float:
     """Return a number of a point as it is shown: one of 32 bits with its 7 digits, 23.4 and not
     23.399999618.
     """
     if float(number).is_integer():
         return number
     shown = float(f"{number:.7g}")
-    is_of_32_bits = abs(number) < _MOST_OF_32_BITS and _of_32_bits(number) == number
-    return shown if is_of_32_bits and _of_32_bits(shown) == number else number
+    is_of_32_bits = abs(number) < _MOST_OF_32_BITS and _rounded_to_32_bits(number) == number
+    return shown if is_of_32_bits and _rounded_to_32_bits(shown) == number else number
 
 
-def _of_32_bits(number: float) -> float:
+def _rounded_to_32_bits(number: float) -> float:
     return float(struct.unpack("f", struct.pack("f", number))[0])
 
 
@@ -283,7 +285,7 @@ def point_term(name: str, *, is_text: bool) -> Term:
             if point.name.casefold() == wanted:
                 if is_text:
                     return point.text
-                return None if point.value is None else _as_shown(point.value)
+                return None if point.value is None else _shown_number(point.value)
         return None
 
     kind = ValueKind.TEXT if is_text else ValueKind.NUMBER
@@ -291,7 +293,8 @@ def point_term(name: str, *, is_text: bool) -> Term:
 
 
 _SHOWN_DIGITS = 6
-"""A number of a point equals one with so many digits if it rounds to it: 23.4 is 23.399999618."""
+"""A number of a point also equals the number that it gives when rounded to this many digits: 23.4
+equals 23.399999618."""
 _WORD = range(0x10000)
 _ADDRESS = ValueKind.NUMBER
 

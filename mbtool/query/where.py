@@ -110,7 +110,7 @@ def parse_where(text: str) -> Where:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         mistake = find_mistake(text)
         why = f"; {_EXAMPLE}" if mistake is None else f": {mistake.told}"
-        raise UsageError(f"--where {_short(text)!r} is not an expression{why}") from error
+        raise UsageError(f"--where {_cut_text(text)!r} is not an expression{why}") from error
     return _Compiler(text, source).condition(tree.body, MAX_DEPTH)
 
 
@@ -163,8 +163,8 @@ class _Compiler:
             why = why_never_true(left_term, right_term, membership=membership)
             why = why or why_out_of_range(left_term, right_term, _SIGNS[type(one_operator)])
             if why is not None:
-                raise self._wrong(why)
-            compares.append(_of_endpoints(left_term, right_term, one_operator) or compare)
+                raise self._usage_error(why)
+            compares.append(_endpoint_comparison(left_term, right_term, one_operator) or compare)
 
         def holds(one: NamedTransaction) -> bool:
             values = [term.value(one) for term in terms]
@@ -191,7 +191,9 @@ class _Compiler:
                 continue
             ns = parse_iso(text)
             if ns is None:
-                raise self._wrong(f"{text[:_SHOWN]!r} is no moment; write 2026-11-22T09:14:03")
+                raise self._usage_error(
+                    f"{text[:_SHOWN]!r} is no moment; write 2026-11-22T09:14:03"
+                )
             terms[other] = _moment(repr(text), ns)
 
     def _fitting(self, left: ast.expr, call: ast.Call, *, negated: bool) -> Where:
@@ -211,10 +213,12 @@ class _Compiler:
         term = self._term(left)
         of_texts = {item.kind for item in term.items} == {ValueKind.TEXT}
         if term.kind is not ValueKind.TEXT and not of_texts:
-            raise self._wrong(f"{term.described}; {word} looks at texts")
+            raise self._usage_error(f"{term.described}; {word} looks at texts")
         choices = term.choices or tuple(one for item in term.items for one in item.choices)
         if choices and not any(map(fits, choices)):
-            raise self._wrong(f"{term.text} never fits {pattern!r}; it is {', '.join(choices)}")
+            raise self._usage_error(
+                f"{term.text} never fits {pattern!r}; it is {', '.join(choices)}"
+            )
 
         def holds(one: NamedTransaction) -> bool:
             value = term.value(one)
@@ -235,9 +239,11 @@ class _Compiler:
                 found = re.compile(pattern)
         except re.error as error:
             place = "" if error.pos is None else f" at character {error.pos + 1}"
-            raise self._wrong(f"the pattern {_short(pattern)!r}: {error.msg}{place}") from None
+            raise self._usage_error(
+                f"the pattern {_cut_text(pattern)!r}: {error.msg}{place}"
+            ) from None
         except (OverflowError, RecursionError) as error:
-            raise self._wrong(f"the pattern {_short(pattern)!r}: {error}") from None
+            raise self._usage_error(f"the pattern {_cut_text(pattern)!r}: {error}") from None
         return lambda text: found.search(text) is not None
 
     def _term(self, node: ast.expr) -> Term:
@@ -260,8 +266,9 @@ class _Compiler:
                     self._refuse_unquoted(name)
                     near = difflib.get_close_matches(name, NAMES, n=1)
                     meant = f", did you mean {near[0]!r}?" if near else ";"
-                    raise self._wrong(
-                        f"there is no {_short(name)!r}{meant} there are {', '.join(USUAL_NAMES)}, "
+                    raise self._usage_error(
+                        f"there is no {_cut_text(name)!r}{meant} "
+                        f"there are {', '.join(USUAL_NAMES)}, "
                         "and the other fields of docs/filters.md"
                     )
                 return NAMES[name]
@@ -272,7 +279,7 @@ class _Compiler:
                 return point_term(name, is_text=word == "text")
             case ast.Constant(value=str() as text):
                 return Term(
-                    text=_short(repr(text)),
+                    text=_cut_text(repr(text)),
                     value=lambda _: text,
                     kind=ValueKind.TEXT,
                     constant=text,
@@ -290,11 +297,11 @@ class _Compiler:
     def _refuse_unquoted(self, text: str) -> None:
         """Raise UsageError if `text` is one that a name can have, or a date, but lacks quotes."""
         if any(text in term.choices for term in NAMES.values()):
-            raise self._wrong(f'{text!r} is a text; write "{text}"')
+            raise self._usage_error(f'{text!r} is a text; write "{text}"')
         if "crc" in text.lower() or "lrc" in text.lower():
-            raise self._wrong(f"there is no {_short(text)!r}; {WRONG_CRC}")
+            raise self._usage_error(f"there is no {_cut_text(text)!r}; {WRONG_CRC}")
         if parse_iso(text) is not None:
-            raise self._wrong(f'{text!r} is a moment; write "{text}"')
+            raise self._usage_error(f'{text!r} is a moment; write "{text}"')
 
     def _number(self, node: ast.expr, number: float) -> Term:
         # Show the number as the user wrote it, because Python would write 1e999 as 1e309, and 1e5
@@ -302,17 +309,17 @@ class _Compiler:
         text = self._source(node)
         if node.lineno == node.end_lineno:
             raw = self._lines[node.lineno - 1][node.col_offset : node.end_col_offset]
-            text = _short(raw.decode())
+            text = _cut_text(raw.decode())
         return Term(text=text, value=lambda _: number, kind=ValueKind.NUMBER, number=number)
 
     def _refused(self, why: str) -> UsageError:
-        return self._wrong(f"{why}; {_EXAMPLE}")
+        return self._usage_error(f"{why}; {_EXAMPLE}")
 
-    def _wrong(self, why: str) -> UsageError:
-        return UsageError(f"--where {_short(self._text)!r}: {why}")
+    def _usage_error(self, why: str) -> UsageError:
+        return UsageError(f"--where {_cut_text(self._text)!r}: {why}")
 
     def _source(self, node: ast.expr) -> str:
-        return _short(ast.unparse(node))
+        return _cut_text(ast.unparse(node))
 
 
 def _as_call(match: re.Match[str]) -> str:
@@ -337,7 +344,7 @@ def _wildcards(pattern: str) -> str:
     return "".join(signs.get(one) or re.escape(one) for one in pattern)
 
 
-def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
+def _endpoint_comparison(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
     """Return a function for the comparison of an endpoint with texts that may lack the port.
 
     An endpoint is an address with a port. Returns None for any other comparison, such as
@@ -357,5 +364,5 @@ def _moment(text: str, ns: int) -> Term:
     return Term(text=text, value=lambda _: ns, kind=ValueKind.MOMENT)
 
 
-def _short(text: str) -> str:
+def _cut_text(text: str) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

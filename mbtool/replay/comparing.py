@@ -32,13 +32,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted
-from mbtool.devices import Difference, Side, Span
+from mbtool.devices import Difference, Profile, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay.traffic import (
@@ -54,9 +54,6 @@ from mbtool.replay.traffic import (
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from mbtool.devices import Profile
     from mbtool.replay.connections import RecordedConnection
 
 # The code below tests whether two samples differ significantly: a rank test and a test of two
@@ -203,15 +200,17 @@ def _connection_differences(
         pairs = [(next(iter(a)), next(iter(b)))]
     for link, other in sorted(pairs):
         is_known = all(one.end is None or one.is_end_known for one in (*a[link], *b[other]))
-        kinds = [[_kind(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])]
+        kinds = [
+            [_kind_text(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])
+        ]
         several = link if len(pairs) > 1 else None
         if len(kinds[0]) == len(kinds[1]):
-            yield from _one_by_one(several, *kinds)
+            yield from _differences_one_by_one(several, *kinds)
         else:
-            yield from _by_kind(several, *kinds)
+            yield from _differences_by_kind(several, *kinds)
 
 
-def _kind(one: RecordedConnection, *, is_known: bool) -> str:
+def _kind_text(one: RecordedConnection, *, is_known: bool) -> str:
     """The kind of a connection in words. With `is_known` False, it does not say who ended it, since
     one of the captures does not.
     """
@@ -222,7 +221,9 @@ def _kind(one: RecordedConnection, *, is_known: bool) -> str:
     return one.text if is_known else (_RESET if one.is_reset else _IN_ORDER)
 
 
-def _one_by_one(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+def _differences_one_by_one(
+    link: str | None, a: Sequence[str], b: Sequence[str]
+) -> Iterator[Difference]:
     if Counter(a) == Counter(b):
         return
     for number, (one, other) in enumerate(zip(a, b, strict=True), 1):
@@ -236,7 +237,9 @@ def _one_by_one(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterato
             )
 
 
-def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+def _differences_by_kind(
+    link: str | None, a: Sequence[str], b: Sequence[str]
+) -> Iterator[Difference]:
     counts = Counter(a), Counter(b)
     kinds = sorted((counts[0].keys() | counts[1].keys()) - {_IN_ORDER})
     for kind in kinds:
@@ -248,12 +251,12 @@ def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[D
                 kind=Kind.CONNECTION,
                 link=link,
                 what=f"connection {first}",
-                a=Side(text=_share(kind, one, len(a)), count=one),
-                b=Side(text=_share(kind, other, len(b)), count=other),
+                a=Side(text=_share_text(kind, one, len(a)), count=one),
+                b=Side(text=_share_text(kind, other, len(b)), count=other),
             )
 
 
-def _share(kind: str, count: int, whole: int) -> str:
+def _share_text(kind: str, count: int, whole: int) -> str:
     return f"{kind}: {count:,} of {counted(whole, 'connection', ',')}"
 
 
@@ -402,7 +405,7 @@ class _SlaveComparison:
     def _latencies(self) -> Iterator[Difference]:
         for _, requests in groupby(self._in_both, key=lambda key: (key.function, key.sub_function)):
             shifts = [shift for key in requests for shift in self._shift(key)]
-            for first, *others in _alike(shifts):
+            for first, *others in _groups_alike(shifts):
                 named = [_name(one.request, self._a.requests[one.request]) for one in others]
                 yield self._difference(
                     first.request, Kind.LATENCY, first.a, first.b, first.p, filter(None, named)
@@ -447,7 +450,7 @@ class _SlaveComparison:
         )
 
 
-def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
+def _groups_alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
     """Group the latency changes that `is_like` finds alike: first those that became slower, and of
     these the largest factor first.
     """

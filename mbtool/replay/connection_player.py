@@ -25,6 +25,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -32,18 +33,20 @@ from mbtool.replay.connections import Beginning, RecordedConnection
 from mbtool.slave.device.connection_policy import Admission, ConnectionPolicy, Loss, Peer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from fractions import Fraction
 
     from mbtool.modbus.response import ConnectionEnding
 
 CAUSE_NS = 1_000_000_000
-"""If a slave ends a connection at most this time (ns) after another one opened, it made room."""
+"""If a slave ended a connection at most this long (ns) after another one opened, that opening is
+the cause: the slave made room for it."""
 TOGETHER_NS = 100_000_000
-"""Connections that a slave ends within this time (ns) are ended for one reason, such as a reset."""
+"""If a slave ended a connection at most this long (ns) after another one, the end of the other one
+is the cause: both have one reason, such as a reset."""
 LEAST_IDLE_S = 600.0
 _SPARE_IDLE = 2.0
-"""A live connection may be idle for this many times as long as the recorded ones were."""
+"""A live connection is closed if it is idle for this many times the duration of the longest
+recorded one, and for at least LEAST_IDLE_S."""
 
 
 @dataclass(slots=True)
@@ -52,8 +55,9 @@ class _Planned:
 
     recorded: RecordedConnection
     ends_after: tuple[str, int] | None = None
-    """The cause of the slave's ending: `asked` (the last of so many requests of this connection),
-    `opened` or `ended` (the connection of this number). None if the slave did not end it."""
+    """The cause of the slave's ending: `asked` (this connection has had the given number of
+    requests), `opened` or `ended` (the connection with the given number). None if the slave did not
+    end it."""
     delay_ns: int = 0
     """The time (ns of the recording) from the cause to the ending."""
     closed_ns: dict[str, int] = field(default_factory=dict)
@@ -65,6 +69,7 @@ class ConnectionPlayer(ConnectionPolicy):
     """Takes, refuses and ends live connections as the slave of a recording did."""
 
     closes_all = False
+    ends_some = True
 
     def __init__(
         self,
@@ -74,7 +79,7 @@ class ConnectionPlayer(ConnectionPolicy):
         is_loop: bool = False,
     ) -> None:
         """Prepare to play connections of one slave, in the order of their beginnings."""
-        super().__init__(idle_s=_idle_s(recorded))
+        super().__init__(idle_s=_idle_timeout_s(recorded))
         self._rate = rate
         self._is_loop = is_loop
         self._plan = _planned(recorded)
@@ -203,6 +208,6 @@ def _refusals(recorded: Sequence[RecordedConnection]) -> list[tuple[int, int, in
     return runs
 
 
-def _idle_s(recorded: Sequence[RecordedConnection]) -> float:
+def _idle_timeout_s(recorded: Sequence[RecordedConnection]) -> float:
     longest_ns = max(((one.end_ns or one.last_ns) - one.begin_ns for one in recorded), default=0)
     return max(LEAST_IDLE_S, _SPARE_IDLE * longest_ns / 1e9)

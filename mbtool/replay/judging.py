@@ -33,15 +33,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.devices import Difference, Side, Span
+from mbtool.devices import Difference, Profile, Side, Span
 from mbtool.devices import DifferenceKind as Kind
-from mbtool.modbus import exception_name, parse_pdu, register_access
+from mbtool.modbus import RegisterAccess, exception_name, parse_pdu, register_access
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.replay.comparing import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.script import Step
@@ -49,10 +50,6 @@ from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from mbtool.devices import Profile
-    from mbtool.modbus import RegisterAccess
     from mbtool.replay.tolerances import Tolerances
 
 SHOWN_BYTES = 16
@@ -454,7 +451,7 @@ def _outcome(pdu: bytes | None, function: int) -> str:
         return f"answer to function {pdu[0] & ~EXCEPTION_BIT:02X}"
     if pdu[0] & EXCEPTION_BIT:
         if len(pdu) != 2:
-            return f"malformed exception {_shown(pdu)}"
+            return f"malformed exception {_hex_text(pdu)}"
         return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"
     problem = parse_pdu(pdu, Direction.RESPONSE).problem
     return _OK if problem is None else f"malformed: {problem}"
@@ -472,10 +469,10 @@ def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
     """
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:
-        return _shown(pdu), _shown(other)
-    return f"byte {first}: {_shown(pdu[first:])}", f"byte {first}: {_shown(other[first:])}"
+        return _hex_text(pdu), _hex_text(other)
+    return f"byte {first}: {_hex_text(pdu[first:])}", f"byte {first}: {_hex_text(other[first:])}"
 
 
-def _shown(pdu: bytes) -> str:
+def _hex_text(pdu: bytes) -> str:
     text = pdu[:SHOWN_BYTES].hex(" ")
     return text if len(pdu) <= SHOWN_BYTES else f"{text} ... ({len(pdu)} bytes)"

@@ -21,6 +21,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from enum import Enum, StrEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -29,8 +30,6 @@ from mbtool.modbus import TABLE_FUNCTIONS, parse_pdu
 from mbtool.modbus.functions import EXCEPTION_BIT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.replay.recording import Key, RecordedAnswer, Recording
 
 
@@ -147,7 +146,7 @@ class KeyMatcher:
         if index < len(answers) or self._on_end is OnEnd.LOOP:
             lap, index = divmod(index, len(answers))
             return Found(answers[index], lap)
-        return _AT_END.get(self._on_end) or _last(answers)
+        return _AT_END.get(self._on_end) or _last_answer(answers)
 
 
 class SequenceMatcher:
@@ -166,7 +165,7 @@ class SequenceMatcher:
         if self._next >= len(self._order) and self._on_end is not OnEnd.LOOP:
             if key not in self._answers:
                 return NoAnswer.MISS
-            return _AT_END.get(self._on_end) or _last(self._answers[key])
+            return _AT_END.get(self._on_end) or _last_answer(self._answers[key])
         lap, index = divmod(self._next, len(self._order))
         expected, answer = self._order[index]
         if key != expected:
@@ -195,11 +194,11 @@ class TimeMatcher:
             return _AT_END[self._on_end]
         answers = self._answers.get(key)
         if answers is not None:
-            return Found(_nearest(answers, moment.at_ns))
+            return Found(_nearest_answer(answers, moment.at_ns))
         similar = self._by_address.get(_address_key(key) or b"")
         if similar is None:
             return NoAnswer.MISS
-        answer = _nearest(similar, moment.at_ns)
+        answer = _nearest_answer(similar, moment.at_ns)
         is_good = answer.pdu is not None and not answer.pdu[0] & EXCEPTION_BIT
         return NoAnswer.IMAGE if is_good else Found(answer)
 
@@ -221,11 +220,11 @@ class ImageMatcher:
         return NoAnswer.IMAGE
 
 
-def _last(answers: Sequence[RecordedAnswer]) -> Found:
+def _last_answer(answers: Sequence[RecordedAnswer]) -> Found:
     return Found(next((one for one in reversed(answers) if one.pdu is not None), answers[-1]))
 
 
-def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
+def _nearest_answer(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
     """The answer whose request was recorded nearest to `at_ns` (UTC ns); if two are equally near,
     the earlier one.
     """

@@ -18,13 +18,14 @@
 # clock starts with the first request.
 #
 # After an acknowledged write, all responses show the written value, recorded ones too, until the
-# recording has a write to the same address (live_writes.py). A write that was never recorded is
+# recording has a write to the same address (LiveWrites). A write that was never recorded is
 # acknowledged if all its addresses are in the recording. A broadcast on a serial line writes to
 # every unit that ever answered.
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -46,14 +47,11 @@ from mbtool.modbus import ExceptionCode as _Code
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.latency import LatencyModel, RecordedLatency
 from mbtool.replay.matching import Found, MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
-from mbtool.replay.recording import RequestKind
+from mbtool.replay.recording import RecordedAnswer, Recording, RequestKind
 from mbtool.replay.steering import Control, Progress, Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.modbus import Pdu, RegisterAccess
-    from mbtool.replay.recording import RecordedAnswer, Recording
 
 # Keeps the values that the live master has written to a slave that is played from a recording.
 #
@@ -141,7 +139,7 @@ class LiveWrites:
             return recorded
         return live.value
 
-    def in_answer(
+    def overlay_on_recorded(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
         """Return the values of a recorded response of `unit`, with those replaced that the live
@@ -183,7 +181,7 @@ class LiveWrites:
 
 BROADCAST_UNIT = 0
 MAX_UNRECORDED = 1000
-"""At most so many different requests that were never recorded are counted."""
+"""At most this many different requests that were never recorded are counted."""
 _LOOP_GAP_NS = 1_000_000_000
 """If a recording of length 0 ns (such as a single request) is played in a loop, each lap takes this
 long (ns of recorded time)."""
@@ -281,8 +279,8 @@ class RecordedSlave:
         self.answered_from: Counter[AnsweredFrom] = Counter()
         """The number of requests from the live master, by what their answers were taken from."""
         self.unrecorded: Counter[RequestKind] = Counter()
-        """How often the live master has sent requests that are not in the recording; of more than
-        MAX_UNRECORDED different ones, only the first."""
+        """The number of requests from the live master that are not in the recording, by request. Of
+        the different ones, only the first MAX_UNRECORDED are counted."""
         self.missed = 0
         """The number of requests that are not in the recording, to units that answer in it."""
 
@@ -386,7 +384,7 @@ class RecordedSlave:
             if recorded.damaged is None or not self._with_damage:
                 return None
             delay_ns = self._delay_ns(unit, pdu[0], recorded.damaged.latency_ns)
-            return recorded.damaged.again(self._transport, delay_ns)
+            return recorded.damaged.with_same_damage(self._transport, delay_ns)
         answer = recorded.pdu
         is_good = answer[0] == pdu[0]
         request = parse_pdu(pdu, Direction.REQUEST)
@@ -426,7 +424,9 @@ class RecordedSlave:
         # If the matcher uses the clock, the answer may have been recorded later than the clock's
         # time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
-        shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
+        shown = self._writes.overlay_on_recorded(
+            unit, access.table, access.reads.start, values, place
+        )
         return answer if shown == list(values) else response_to(request, pdu, shown)
 
     def _delay_ns(self, unit: int, function: int, own_ns: int | None) -> int:
@@ -445,13 +445,13 @@ class RecordedSlave:
         access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
             delay_ns = self._delay_ns(unit, pdu[0], None)
-            from_image = self._from_image(unit, request, access, pdu)
+            from_image = self._image_response(unit, request, access, pdu)
             if from_image is not None:
                 self.answered_from[AnsweredFrom.IMAGE] += 1
                 return Response(from_image, delay_ns)
             if unit in self._devices:
                 self.answered_from[AnsweredFrom.PROFILE] += 1
-                response = self._from_device(unit, request, access, pdu, now_ns)
+                response = self._device_response(unit, request, access, pdu, now_ns)
                 return None if response is None else replace(response, delay_ns=delay_ns)
         self.answered_from[AnsweredFrom.NOWHERE] += 1
         if self._on_miss is OnMiss.SILENT:
@@ -462,7 +462,7 @@ class RecordedSlave:
             code = _Code.ILLEGAL_DATA_VALUE if has_table else _Code.ILLEGAL_FUNCTION
         return Response(exception_pdu(request.code, code), self._delay_ns(unit, pdu[0], None))
 
-    def _from_image(
+    def _image_response(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes
     ) -> bytes | None:
         """Return the PDU of a response with the recorded values of the registers.
@@ -479,7 +479,7 @@ class RecordedSlave:
         values = [self._value(unit, access.table, address) or 0 for address in access.reads]
         return response_to(request, pdu, values)
 
-    def _from_device(
+    def _device_response(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
         """Return the simulated device's response to a request, None for no response. `pdu` is the

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from sys import intern
@@ -30,8 +31,6 @@ from mbtool.modbus import Outcome, whole_pdu
 from mbtool.replay.connections import Beginning, RecordedConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
 
 
@@ -92,7 +91,7 @@ class ConnectionStep:
     """The recorded time in ns since its cause: for OPEN, since the last refusal or end by the slave
     (0 if there was none); for AWAIT_END, since the last request or the beginning."""
     open_before: tuple[int, ...] = ()
-    """As for Step."""
+    """The numbers of the earlier steps whose responses came only after this; as in Step."""
 
 
 @dataclass(frozen=True, slots=True)

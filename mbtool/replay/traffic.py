@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -36,8 +37,6 @@ from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.replay.connections import ConnectionHistory, RecordedConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices import NamedTransaction, Span
 
 MAX_VALUES = 256
@@ -45,7 +44,8 @@ MAX_LATENCIES = 1 << 15
 MAX_REQUESTS = 1 << 16
 MAX_REGISTERS = 1 << 18
 MAX_SLAVES = 1 << 16
-"""A slave that is asked for two registers takes 2 KB: the most slaves together 125 MB."""
+"""At most this many slaves are kept; further ones are left out. A slave that is asked for two
+registers takes 2 KB, so all together 125 MB."""
 
 NO_ANSWER = "no answer"
 

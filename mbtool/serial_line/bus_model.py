@@ -223,7 +223,7 @@ class BusModel:
             if pdu[0] in WRITE_SEVERAL or self._repeated_write is not None:
                 self._learn_whole_echo(unit, pdu)
             if history.unasked and classification.by is DirectionBy.FORM:
-                history.unasked = 0
+                history.unasked, history.hears_only_slaves = 0, False
             if is_sure:
                 # Ordinary polling teaches nothing here. Skipping it makes decoding 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
@@ -261,6 +261,7 @@ class BusModel:
         is_certain = classification.by is DirectionBy.FORM
         if is_certain and state.answered is None and not state.follows_damage:
             history.unasked = min(history.unasked + 1, ONE_SIDE)
+            history.hears_only_slaves = history.unasked == ONE_SIDE
 
     def _learn_whole_echo(self, unit: int, pdu: bytes) -> None:
         """Learn from a request that a write before it came exactly twice, with no other response.
@@ -422,12 +423,12 @@ class BusModel:
         waited_ns = start_ns - pending.awaited_from_ns
         if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):
             return False
-        if history.latency.has_heard(waited_ns):
+        if history.latency.has_taken_as_long(waited_ns):
             return False
         if history.latency.doublings_late(waited_ns) > costs.SLOW_DOUBLINGS:
             return False
         heard = history.echo_latencies.get((unit, pdu[0]))
-        return heard is None or not heard.has_heard(waited_ns)
+        return heard is None or not heard.has_taken_as_long(waited_ns)
 
     def reset_state(self) -> None:
         """Forget the bus state: the clock was set back, so its times mean nothing any more."""

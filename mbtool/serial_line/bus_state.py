@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 DOUBT_BITS = 6.0
-"""An explanation that costs so many bits more than the best one is true once in 65 times. It raises
-no doubt about the best one."""
+"""An explanation that costs at least this many bits more than the best one is ignored: it is true
+once in 65 times."""
 MAX_PENDING_NS = 1_000_000_000
 """A request is pending for at most this time, in ns; after that the master may send again. Serial
 Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""
 ENOUGH_CHANGES = 3
+"""The directions count as known after this many requests that differ from the response before them,
+if that response repeated its request; see `BusState.changes`."""
 MAX_STATES = 4
 """The most bus states that are considered possible at once."""
 

@@ -24,7 +24,7 @@ ODD_EXCEPTIONS = 0x40
 """No known device uses exception code 0, this exception code or a higher one."""
 
 
-def is_odd_request(pdu: bytes) -> bool:
+def is_implausible_request(pdu: bytes) -> bool:
     """True if a PDU with the form of a request has contents that no master sends.
 
     A request for a counter (function 08) always has 0000 as data (V1.1b3, 6.8.1).
@@ -34,7 +34,7 @@ def is_odd_request(pdu: bytes) -> bool:
     return pdu[0] == 0x08 and int.from_bytes(pdu[1:3]) in COUNTS and any(pdu[3:])
 
 
-def is_odd_response(pdu: bytes) -> bool:
+def is_implausible_response(pdu: bytes) -> bool:
     """True if a PDU with the form of a response has contents that no slave sends.
 
     That is an odd number of bytes in a response that brings registers, or an exception code that
@@ -122,7 +122,8 @@ WRONG_ECHO_AGAIN = 3.0
 """This number of bits is subtracted from WRONG_ECHO or WHOLE_ECHO for each such response that the
 unit has probably given to this function, up to WRONG_ECHOES times: the slave does so again."""
 WRONG_ECHOES = 2
-"""After so many wrong echoes, one more is no less surprising than the last one."""
+"""Each of this many first wrong echoes of a unit makes the next one WRONG_ECHO_AGAIN bits cheaper;
+further ones do not."""
 WRONG_ECHO_OF_SILENT_UNIT = 6.0
 """Extra cost, in bits, of a wrong echo from a unit that has left requests unanswered and never sent
 a response that differs from its request: it may be absent, and the frame another request."""
@@ -298,8 +299,8 @@ expected by more than its unit and function: its contents equal a request heard 
 length that the pending request asks for, or, if incomplete, it is a write request whose byte count
 agrees with its quantity."""
 UNEXPECTED_DAMAGED = 3.0
-"""Extra cost, in bits, of a damaged frame that the bus state does not expect, or whose size only
-the silences around it tell."""
+"""Extra cost, in bits, of a damaged frame that has not the unit and function of a pending or late
+response, nor the contents of a known request, or whose size only the silences around it tell."""
 INCOMPLETE = 0.5
 """The cost, in bits, of the beginning of a frame whose other bytes may still arrive: waiting for
 them costs little."""

@@ -32,7 +32,7 @@ from mbtool.serial_line.bus_model import (
     Classification,
 )
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, confidence_of
-from mbtool.serial_line.costs import is_odd_request, is_padded
+from mbtool.serial_line.costs import is_implausible_request, is_padded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,10 +51,11 @@ _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
 _LOOP = 5
-"""So many equal frames behind the first one are a loop of one request, not its retries."""
+"""At least this many equal frames behind the first one are a request that the master repeats in a
+loop, and not retries."""
 _LONG_RUN = 24
-"""From so many equal frames in a row on, the number of those that follow does not matter. It is at
-most as many frames as the window keeps undecided."""
+"""If at least this many equal frames follow each other, the number of those behind them is not
+counted. It is at most the number of frames that the window keeps undecided."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more is left to the
 search, unless by its form it can only be a request."""
@@ -270,7 +271,7 @@ class FastPath:
         if pdu[0] in READ_BITS and not is_padded(pending.pdu, pdu):
             return False
         waited_ns = start_ns - pending.awaited_from_ns
-        if history.trusts_silences and not history.latency.has_heard(waited_ns):
+        if history.trusts_silences and not history.latency.has_taken_as_long(waited_ns):
             return False
         return waited_ns <= MAX_PENDING_NS
 
@@ -285,7 +286,7 @@ class FastPath:
         and the bytes behind it.
         """
         history, pending, overdue = self._model.history, state.pending, state.overdue
-        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_odd_request(pdu):
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or is_implausible_request(pdu):
             return None
         if pending is not None and pending.unit != unit and not history.timed:
             if state.follows_damage or (overdue is not None and overdue.fits(unit, pdu)):
@@ -306,7 +307,7 @@ class FastPath:
             size = len(pdu) + 3
             if self._follows_response(data, size):
                 return FITTING_RESPONSE
-            return self._in_odd_run(Direction.RESPONSE, data, size)
+            return self._classification_in_odd_run(Direction.RESPONSE, data, size)
         if state.follows_damage or state.last_ns is None:
             return None
         bits = costs.UNREQUESTED_RESPONSE - costs.REQUEST
@@ -315,7 +316,7 @@ class FastPath:
             if history.trusts_silences:
                 return None
             bits -= min(history.repeat.bits, costs.REPEAT_AGAIN if state.is_repeat else bits)
-            odd = self._in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
+            odd = self._classification_in_odd_run(Direction.REQUEST, data, len(pdu) + 3)
             if odd is not None:
                 return odd
         elif state.last_response == pdu:
@@ -346,7 +347,9 @@ class FastPath:
         count = self._count_ended_loop(data, size)
         return count % 2 == 1
 
-    def _in_odd_run(self, role: Direction, data: bytes, size: int) -> Classification | None:
+    def _classification_in_odd_run(
+        self, role: Direction, data: bytes, size: int
+    ) -> Classification | None:
         """Return `role` for a frame of `size` bytes in a run of an odd number of equal frames.
 
         One request of the run has no response, and nothing tells which. So each is as likely, and

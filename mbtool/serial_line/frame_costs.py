@@ -30,7 +30,7 @@ from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
-from mbtool.serial_line.costs import is_odd_request, is_odd_response, is_padded
+from mbtool.serial_line.costs import is_implausible_request, is_implausible_response, is_padded
 from mbtool.serial_line.line_history import ENOUGH_PAUSES
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -76,7 +76,7 @@ def _request_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, at_ns: int
 ) -> CostParts:
     cost = costs.REQUEST
-    if is_odd_request(pdu):
+    if is_implausible_request(pdu):
         cost += costs.IMPLAUSIBLE_REQUEST
     pending, overdue = state.pending_at(at_ns), state.overdue
     is_retry = pending is not None and pending.is_same(unit, pdu)
@@ -186,11 +186,17 @@ def _new_request_cost(pdu: bytes) -> float:
     return costs.NEW_REQUEST
 
 
-@lru_cache(REMEMBERED)
 def _breaks_limits(pdu: bytes) -> bool:
     """True if a frame has the form of a request, and asks for more than the standard allows."""
+    has_form, keeps = _as_request(pdu)
+    return has_form and not keeps
+
+
+@lru_cache(REMEMBERED)
+def _as_request(pdu: bytes) -> tuple[bool, bool]:
+    """Return if a PDU has the form of a request, and if as a request it keeps the limits."""
     request = parse_pdu(pdu, Direction.REQUEST)
-    return request.problem is None and not keeps_limits(request)
+    return request.problem is None, keeps_limits(request)
 
 
 def _response_cost(
@@ -200,7 +206,7 @@ def _response_cost(
         return costs.UNREQUESTED_RESPONSE + costs.MALFORMED, 0.0
     if state.pending is not None and state.pending.fits(unit, pdu):
         return _fitting_response_cost(history, state, state.pending, pdu, at_ns)
-    odd = costs.MALFORMED if is_odd_response(pdu) else 0.0
+    odd = costs.MALFORMED if is_implausible_response(pdu) else 0.0
     if history.hears_only_slaves:
         return costs.RESPONSE + odd, 0.0
     pending, overdue = state.pending_at(at_ns), state.overdue
@@ -318,9 +324,9 @@ def _lateness_cost(
         if timeout.is_not_over(silence_ns):
             most = costs.LATE_BEFORE_TIMEOUT
     heard = history.echo_latencies.get((pending.unit, pending.pdu[0]))
-    if heard and heard.has_heard(silence_ns):
+    if heard and heard.has_taken_as_long(silence_ns):
         return 0.0
-    if history.all_echo_latencies.has_heard(silence_ns):
+    if history.all_echo_latencies.has_taken_as_long(silence_ns):
         most = min(most, costs.LATE_AS_OTHERS)
     # An echo (a response that equals its request) that comes later than any other response may be a
     # retry. So MARGIN_DOUBLINGS is allowed for only if it comes sooner than any retry can.
@@ -339,13 +345,13 @@ def _is_only_a_response(
     That is so if the frame fits the pending request as its response, and its contents are
     implausible in a request or were never heard in one.
     """
-    if pending is None or pdu == pending.pdu:
+    if pending is None or pdu[0] not in FUNCTIONS or pdu == pending.pdu:
         return False
     if not pending.fits(unit, pdu):
         return _is_malformed_response(pending, unit, pdu)
-    if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
+    if pdu_length(pdu, Direction.REQUEST) != len(pdu):
         return False
-    if is_odd_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+    if is_implausible_request(pdu) or not _as_request(pdu)[1]:
         return True
     if (unit, pdu) in history.requests or pending.expected.size != len(pdu):
         return False
@@ -359,7 +365,7 @@ def _is_malformed_response(pending: PendingRequest, unit: int, pdu: bytes) -> bo
     """True if a frame answers the pending request with a wrong byte count, and is out of the
     standard's limits as a request: 03 03 123400 to a read of one register.
     """
-    is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0] and pdu[0] in FUNCTIONS
+    is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0]
     if not is_of_request or pdu_length(pdu, Direction.RESPONSE) != len(pdu):
         return False
     return _breaks_limits(pdu)

@@ -21,7 +21,8 @@ MAX_REQUESTS = 1024
 forgotten."""
 
 KNOWN_HEAD = 4
-"""So many bytes tell a request that was heard before: unit, function and address."""
+"""The least number of bytes (unit, function and address) by which the beginning of a frame is
+compared with the requests heard before."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
@@ -46,10 +47,10 @@ class LineHistory:
         self.hears_silences = False
         """True once a silence of t3.5 was heard between two frames or inside one."""
         self.merges_briefly = False
-        """True if the adapter merges frames, but never for so long that a request and its retry
-        come as one burst."""
+        """True if the adapter merges frames, but never holds bytes back until a retry: a request
+        and its retry come as two bursts."""
         self.may_merge_long = False
-        """True if the adapter merges frames, and may hold bytes back for so long: then a silence
+        """True if the adapter merges frames, and may hold bytes back until a retry: then a silence
         before a frame may be the adapter's."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
@@ -87,11 +88,9 @@ class LineHistory:
         self.unasked = 1
         """The number of responses, certain by their form, that nobody requested and that had no
         damaged bytes before them, since the last request that was certain by its form."""
-
-    @property
-    def hears_only_slaves(self) -> bool:
-        """True if only the slaves are heard, as on one pair of a four-wire line."""
-        return self.unasked >= ONE_SIDE
+        self.hears_only_slaves = False
+        """True if only the slaves are heard, as on one pair of a four-wire line: ONE_SIDE responses
+        were `unasked`."""
 
     @property
     def may_hear_only_slaves(self) -> bool:

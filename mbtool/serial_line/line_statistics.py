@@ -173,8 +173,8 @@ class LatencyStatistics:
     __slots__ = ("_heard", "_longest_ns")
 
     INITIAL_NS = 200_000_000
-    """The longest response time, in ns, that is assumed before the first response. Slow devices
-    take so long."""
+    """The longest response time, in ns, that is assumed before the first response. It is
+    that of slow devices."""
     MIN_NS = 10_000_000
     """The longest response time is never taken to be less than this, in ns, since adapters deliver
     bytes in blocks."""
@@ -218,7 +218,7 @@ class LatencyStatistics:
         """True if ENOUGH_RESPONSES responses were heard, so that the longest latency is known."""
         return self._heard >= self.ENOUGH_RESPONSES
 
-    def has_heard(self, latency_ns: int) -> bool:
+    def has_taken_as_long(self, latency_ns: int) -> bool:
         """True if the longest latency heard is at least `latency_ns`, or up to 5 % less."""
         return self._heard > 0 and latency_ns <= self._longest_ns * self.NEARLY
 

@@ -13,8 +13,9 @@
 #    bytes are returned. Frames in the last 256 bytes are returned if every explanation of the
 #    window contains them.
 #
-# A search stops at a frame behind which only one explanation is left, and the fast path goes on
-# there. So its work grows with the number of unclear places, not with the number of bytes.
+# A search stops at a frame behind which only one explanation is left, if the function of the next
+# frame tells its size, and the fast path goes on there. So its work grows with the number of
+# unclear places, not with the number of bytes.
 #
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the
@@ -85,23 +86,25 @@ HOLD_NS = 1_000_000_000
 """An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms,
 and radio modems pause up to 0.5 s within a frame."""
 HOLD_DUE_NS = 30_000_000_000
-"""The beginning of the frame that is due, with its unit and function, waits this long, in ns. A
-program that reads 8 KB at once tears a frame for so long, and meanwhile nothing else is heard."""
+"""The beginning of the frame that is due, with its unit and function, waits this long (ns) for its
+rest. Between two reads of 8 KB, a program can leave a frame torn for as long, and meanwhile nothing
+else is heard."""
 MAX_SILENCES = 16
 """After this many silences of t3.5, the search must decide what the buffered bytes are, even if
 they may end with an incomplete frame. A frame of 256 bytes that comes in pieces of 32 bytes has 8
 silences."""
 
 USUAL_ECHO = 6
-"""The response to 0FH or 10H repeats so many bytes: unit, function, address and quantity."""
+"""The number of bytes of a request with 0FH or 10H that its response repeats: unit, function,
+address and quantity."""
 
 LONG_DOUBT = 48
-"""If so many more frames were in doubt than not, searches become narrow: on so unclear a line, more
-explanations of the bytes cost time and decide little."""
+"""Searches become narrow once this many more frames were in doubt than not: on a line this unclear,
+more explanations of the bytes cost time and decide little."""
 
 LONG_NOISE = 2 * WINDOW
 """After this many bytes without a frame, the search runs only if the buffer has a frame with a
-correct CRC: a damaged frame that it found among so much noise would probably be noise, too."""
+correct CRC: a damaged frame found among as much noise would probably be noise, too."""
 
 
 class _BehindNoise(NamedTuple):

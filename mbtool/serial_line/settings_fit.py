@@ -52,6 +52,7 @@ ENOUGH = 600
 scores."""
 
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
+"""The baud rates that are tried, the most frequent first."""
 
 
 def settings_to_try() -> list[SerialFormat]:
@@ -209,8 +210,8 @@ class _SettingsReading:
 def _readings(heard_as: SerialFormat) -> list[_SettingsReading]:
     baud = heard_as.baud
     readings = [
-        _SettingsReading(LineSettings(heard_as), _as_heard),
-        _SettingsReading(LineSettings(heard_as, ascii=True), _as_heard),
+        _SettingsReading(LineSettings(heard_as), _unchanged_view),
+        _SettingsReading(LineSettings(heard_as, ascii=True), _unchanged_view),
     ]
     if heard_as.parity != "N":
         return readings
@@ -223,7 +224,7 @@ def _readings(heard_as: SerialFormat) -> list[_SettingsReading]:
     ]
 
 
-def _as_heard(data: bytes, damaged: Sequence[int]) -> View:
+def _unchanged_view(data: bytes, damaged: Sequence[int]) -> View:
     return data, len(damaged)
 
 

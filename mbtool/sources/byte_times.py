@@ -37,10 +37,11 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator, Sequence
 from decimal import Decimal, DecimalException
 from itertools import chain, islice, pairwise
 from statistics import median_low
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from mbtool.core import (
     Chunk,
@@ -54,9 +55,6 @@ from mbtool.core import (
 from mbtool.sources.byte_files import SerialBytes
 from mbtool.sources.text_marks import iso_ns
 from mbtool.sources.uart import BAUDS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 START, END, DURATION, BYTE, TYPE = "t_start_s", "t_end_s", "duration", "byte_hex", "type"
 COLUMNS = {
@@ -133,7 +131,7 @@ def is_byte_times(head: bytes) -> bool:
     if len(cells) <= max(places.values()):
         return False
     try:
-        _ns(cells[places[START]], START, "", 2)
+        _parse_time_ns(cells[places[START]], START, "", 2)
     except InputError:
         return False
     cell = cells[places[BYTE]]
@@ -218,22 +216,24 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
             continue
         try:
             if len(cells) != len(header):
-                raise _wrong(name, number, f"{len(cells)} columns, where row 1 has {len(header)}")
+                raise _row_error(
+                    name, number, f"{len(cells)} columns, where row 1 has {len(header)}"
+                )
             if type_at is not None and cells[type_at] != "data":
                 continue
-            start_ns = end_ns = _ns(cells[start_at], header[start_at], name, number)
+            start_ns = end_ns = _parse_time_ns(cells[start_at], header[start_at], name, number)
             if end_at is not None:
-                end_ns = _ns(cells[end_at], header[end_at], name, number)
+                end_ns = _parse_time_ns(cells[end_at], header[end_at], name, number)
             elif duration_at is not None:
-                end_ns += _ns(cells[duration_at], header[duration_at], name, number)
+                end_ns += _parse_time_ns(cells[duration_at], header[duration_at], name, number)
             if end_ns < start_ns:
-                raise _wrong(name, number, f"{END} is before {START}")
+                raise _row_error(name, number, f"{END} is before {START}")
             if shift_ns is None:
                 shift_ns = max(0, -start_ns)
             if start_ns + shift_ns < 0:
-                shown = _short(cells[start_at])
+                shown = _cut_text(cells[start_at])
                 what = f"{header[start_at]} is {shown}, before that of the first row"
-                raise _wrong(name, number, what)
+                raise _row_error(name, number, what)
             byte = read_byte.read(cells[byte_at], header[byte_at], name, number)
         except InputError as error:
             if is_whole:
@@ -253,7 +253,7 @@ def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
         return [], True
     is_whole = line.endswith(b"\n")
     if not is_whole and len(line) == MAX_ROW:
-        raise _wrong(name, number, f"more than {MAX_ROW} characters")
+        raise _row_error(name, number, f"more than {MAX_ROW} characters")
     return _split(line.decode("utf-8", "replace")), is_whole
 
 
@@ -267,7 +267,7 @@ def _split(line: str) -> list[str]:
         return [cell.strip().strip('"') for cell in line.split(",")]
 
 
-def _ns(text: str, column: str, name: str, number: int) -> int:
+def _parse_time_ns(text: str, column: str, name: str, number: int) -> int:
     try:
         if _ISO.fullmatch(text):
             return iso_ns(text.encode())
@@ -276,7 +276,9 @@ def _ns(text: str, column: str, name: str, number: int) -> int:
             return round(value)
     except (DecimalException, ValueError):
         pass
-    raise _wrong(name, number, f"{column} is {_short(text)}; a number of seconds would be right")
+    raise _row_error(
+        name, number, f"{column} is {_cut_text(text)}; a number of seconds would be right"
+    )
 
 
 def _is_byte(text: str) -> bool:
@@ -294,7 +296,9 @@ class _ByteReader:
         """Read a byte. Raises InputError, which names `column`, the file and the row `number`."""
         if self._is_hex:
             if _BYTE.fullmatch(text) is None:
-                raise _wrong(name, number, f"{column} is {_short(text)}; 00 to ff would be right")
+                raise _row_error(
+                    name, number, f"{column} is {_cut_text(text)}; 00 to ff would be right"
+                )
             return int(text, 16)
         prefixed = _PREFIXED.fullmatch(text)
         if prefixed is not None:
@@ -310,13 +314,15 @@ class _ByteReader:
         character = text[1:-1] if len(text) > 2 and text[0] == text[-1] == "'" else text
         byte = _WORDS.get(character, ord(character) if len(character) == 1 else None)
         if self._is_decimal or byte is None or byte > 0xFF:
-            raise _wrong(name, number, f"{column} is {_short(text)}; 0x00 to 0xff would be right")
+            raise _row_error(
+                name, number, f"{column} is {_cut_text(text)}; 0x00 to 0xff would be right"
+            )
         return byte
 
 
-def _short(text: str) -> str:
+def _cut_text(text: str) -> str:
     return ascii(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 
-def _wrong(name: str, number: int, problem: str) -> InputError:
+def _row_error(name: str, number: int, problem: str) -> InputError:
     return InputError(f"{name}: row {number}: {problem}")

@@ -1,7 +1,7 @@
 """A network interface as a live source: whole packets, as the kernel saw them."""
 
 # scapy opens the listening socket, makes the interface promiscuous, and puts a VLAN tag that the
-# kernel has removed back into the packet; it decodes nothing. The filter is made in port_filter.py,
+# kernel has removed back into the packet; it decodes nothing. `port_filter` makes the filter,
 # so neither libpcap nor tcpdump is needed. Linux only.
 #
 # The kernel notes the time of a packet by the system's clock, which somebody may set during a
@@ -36,10 +36,11 @@ import struct
 import sys
 import warnings
 from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, UsageError, WireEvent
 from mbtool.core.limits import MODBUS_PORT
@@ -50,9 +51,6 @@ from mbtool.packets.tunnels import ERSPAN, GRE
 from mbtool.ports.clock import ClockWatch, now_ns
 from mbtool.sources.inbox import Ended, PatientSink
 from mbtool.sources.source import LiveSource
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
 
 # The kernel filter that lets only Modbus traffic into a capture: classic BPF, assembled here.
 #
@@ -120,7 +118,7 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")
     lines: list[Instruction | str] = [
-        *_heard_once(is_loopback),
+        *_rules_against_copies(is_loopback),
         "wanted",
         Instruction(_LD_WORD, _PROTOCOL),
         *(Instruction(_JUMP_EQUAL, tag, "keep") for tag in _ETHERTYPE_TAGS),
@@ -147,7 +145,7 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
         "six",
         Instruction(_LDX_IMMEDIATE, 40),
         "ports",
-        *_from_or_to(ports),
+        *_rules_for_ports(ports),
         Instruction(_JUMP, then="drop" if ports else "keep"),
         "gre",
         Instruction(_LDX_HEADER_LENGTH, _NET),
@@ -161,7 +159,7 @@ def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes
     return _assemble(lines)
 
 
-def _heard_once(is_loopback: bool | None) -> Iterator[Instruction]:
+def _rules_against_copies(is_loopback: bool | None) -> Iterator[Instruction]:
     if is_loopback is None:
         yield Instruction(_LD_WORD, _HARDWARE)
         yield Instruction(_JUMP_EQUAL, _ARPHRD_LOOPBACK, "", "wanted")
@@ -170,7 +168,7 @@ def _heard_once(is_loopback: bool | None) -> Iterator[Instruction]:
         yield Instruction(_JUMP_EQUAL, _PACKET_OUTGOING, "drop")
 
 
-def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
+def _rules_for_ports(ports: Sequence[int]) -> Iterator[Instruction]:
     for side in (0, 2) if ports else ():
         yield Instruction(_LD_HALF_X, _NET + side)
         for port in ports:
@@ -423,7 +421,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     )
                     link_type = _LINK_TYPES.get(heard_by[3])
                     if link_type is None:
-                        self._tell_unreadable(heard_by[0], heard_by[3], asked_ns)
+                        self._report_unreadable(heard_by[0], heard_by[3], asked_ns)
                         continue
                 packets.append(
                     Packet(
@@ -453,7 +451,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     )
                 )
 
-    def _tell_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
+    def _report_unreadable(self, interface: str, hardware: int, ts_ns: int) -> None:
         if hardware in self._told:
             return
         self._told.add(hardware)

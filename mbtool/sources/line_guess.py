@@ -20,7 +20,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
 from mbtool.core.moments import counted
@@ -36,13 +36,10 @@ from mbtool.serial_line.settings_fit import (
     settings_to_try,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 LISTEN_S = 10
 """The longest time in seconds for which a setting is tried without a pause, if bytes come."""
 SILENCE_S = 60
-"""A line on which nothing is heard for this long (s) ends the search, unless the user says how long
+"""The search ends if nothing is heard on the line for this long (s), unless the user says how long
 to wait."""
 WAIT_S = 15 * 60
 """The search ends after this time (s), unless the user says how long to wait."""
@@ -54,9 +51,10 @@ of a frame."""
 _PAIR_NS = 5_000_000_000
 """A request and its response alone are enough if nothing follows for this time, in ns."""
 _LONGER = 1.5
-"""A setting hears nothing if nothing comes for so many times the longest silence before."""
+"""A setting is given up if no byte comes for this many times the longest silence between bursts so
+far, and for at least LISTEN_S."""
 _TOLD_NS = 5_000_000_000
-"""The user is told how far the search is at most this often, in ns."""
+"""The least time (ns) between two messages that say how far the search is."""
 
 
 def guess_line(
@@ -94,9 +92,9 @@ def _guess(
                 continue
             best = trial.scores()[0]
             if best.is_sure:
-                return _found(link, best, _how_sure(heard_as, listener))
+                return _settled_link(link, best, _how_sure(heard_as, listener))
             if best.is_pair:
-                return _found(link, best, "likely, from so few frames")
+                return _settled_link(link, best, "likely, from so few frames")
             if listener.is_over():
                 break
         # If each setting has received enough bytes, more bytes change nothing.
@@ -107,7 +105,7 @@ def _guess(
     best, *others = sorted(scores, key=_rank, reverse=True)
     if best.is_likely:
         second = f"; second is {others[0]}" if others else ""
-        return _found(link, best, f"likely{second}")
+        return _settled_link(link, best, f"likely{second}")
     raise LinkError(
         f"link {link}: no usual line settings fit what was heard; nearest is {best}. "
         f"Name the settings, for example {link.settled(SerialFormat(), ascii=False)}"
@@ -161,7 +159,7 @@ class _Listener:
     def listen(self, heard_as: SerialFormat, trial: SettingsTrial, most_s: float = 0) -> bool:
         """Read the port with the setting `heard_as`, and let `trial` judge the bytes.
 
-        With `most_s`, listen at most so many seconds. Returns False if the setting cannot be
+        With `most_s`, listen for at most `most_s` seconds. Returns False if the setting cannot be
         applied to the port.
         """
         try:
@@ -191,7 +189,7 @@ class _Listener:
                 break
             if self._has_tried(trial, begin_ns, first_ns, at_ns):
                 break
-            self._tell(trial, at_ns)
+            self._report_progress(trial, at_ns)
         self.marked += trial.marked - marked
         self._note_fit(trial)
         return True
@@ -231,7 +229,7 @@ class _Listener:
         if best.frames and (self._fitting is None or best.rank > self._fitting.rank):
             self._fitting = best
 
-    def _tell(self, trial: SettingsTrial, at_ns: int) -> None:
+    def _report_progress(self, trial: SettingsTrial, at_ns: int) -> None:
         """Tell the user how far the search is, each few seconds."""
         if at_ns - self._told_ns < _TOLD_NS:
             return
@@ -260,7 +258,7 @@ def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
     return "sure; but for the parity, of whose errors this port tells nothing"
 
 
-def _found(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLink, str]:
+def _settled_link(link: AutoLink, best: SettingsScore, how_sure: str) -> tuple[SerialLink, str]:
     found = best.settings
     return link.settled(found.format, ascii=found.ascii), f"{link.name}: {best}, {how_sure}"
 

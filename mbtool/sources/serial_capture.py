@@ -7,20 +7,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from threading import Event
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, EventKind, LinkError, Quiet, SerialLink, WireEvent
 from mbtool.ports.serial_records import RecordKind, RecordReader, SerialRecord
 from mbtool.sources.child import end_child, start_child, tell_to_end
-from mbtool.sources.inbox import Ended
+from mbtool.sources.inbox import Ended, Sink
 from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Mapping
 
-    from mbtool.sources.inbox import Sink
 
 STEP_NS = 10_000
 """Times of reads are rounded down to multiples of this, in ns. A read is noted some 50 us late at
@@ -119,16 +118,16 @@ class SerialSource(LiveSource[SerialLink]):
                 self._first_record.set()
             case RecordKind.LOST:
                 text = f"decoding fell behind: {record.lost} bytes were not recorded"
-                self._tell(record, EventKind.DISCARDED, text, record.lost)
+                self._put_event(record, EventKind.DISCARDED, text, record.lost)
             case RecordKind.DAMAGE:
-                self._tell(record, EventKind.LINE_ERROR, record.data.decode())
+                self._put_event(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
                 # The driver reports a loss up to a second later. So the event is not a GAP: the
                 # decoder would end the frame that is arriving now at a GAP.
-                self._tell(record, EventKind.LINE_ERROR, text, record.lost)
+                self._put_event(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.STOPPED:
-                self._tell(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")
+                self._put_event(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))
 
@@ -136,7 +135,9 @@ class SerialSource(LiveSource[SerialLink]):
         ts_ns = record.ts_ns // STEP_NS * STEP_NS
         self._inbox.put(Chunk(ts_ns=ts_ns, link=self.link, data=record.data, direction=speaker))
 
-    def _tell(self, record: SerialRecord, kind: EventKind, text: str, missing: int = 0) -> None:
+    def _put_event(
+        self, record: SerialRecord, kind: EventKind, text: str, missing: int = 0
+    ) -> None:
         self._inbox.put(
             WireEvent(ts_ns=record.ts_ns, link=self.link, kind=kind, message=text, missing=missing)
         )

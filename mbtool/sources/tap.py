@@ -1,7 +1,7 @@
 """A TCP tap: masters connect to it instead of the slave; it relays and records all bytes."""
 
 # The tap listens at one endpoint (ports/tcp_listener.py), connects to its target for each
-# connection that it accepts, and passes bytes both ways, at once and unchanged (relay.py). It runs
+# connection that it accepts, and passes bytes both ways, at once and unchanged. It runs
 # in a thread with an event loop of its own. The consumer gets recorded bytes a few ms later, so
 # that decoding does not delay the response (inbox.py).
 #
@@ -32,8 +32,8 @@ import asyncio
 import os
 import re
 import ssl
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from mbtool.core import (
     Chunk,
@@ -52,14 +52,9 @@ from mbtool.ports.clock import now_ns
 from mbtool.ports.host_names import why_unknown
 from mbtool.ports.tcp_listener import SPARE_S, THIS_MACHINE, AllowedPeers, TcpListener, reset
 from mbtool.ports.tls import client_context, described, failure, server_context
-from mbtool.sources.inbox import Ended, Outbox
+from mbtool.sources.inbox import Ended, Outbox, Sink
 from mbtool.sources.read_only import ReadOnlyScreen
 from mbtool.sources.source import LiveSource
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.sources.inbox import Sink
 
 _TICK_S = 0.1
 """The period in seconds at which the tap puts a Quiet item (all bytes up to now are delivered) and
@@ -148,7 +143,7 @@ class TapSource(LiveSource[TapLink]):
 
     async def _accept(self) -> None:
         self._server = await self._listener.serve(
-            lambda: self._relay().master, lambda text: self._tell(EventKind.REFUSED, text)
+            lambda: self._relay().master, lambda text: self._report_event(EventKind.REFUSED, text)
         )
 
     async def _tick_until_told(self) -> None:
@@ -188,10 +183,10 @@ class TapSource(LiveSource[TapLink]):
         """
         refusal = self._listener.refusal(master.host)
         if refusal is not None:
-            self._tell(EventKind.REFUSED, refusal, str(master))
+            self._report_event(EventKind.REFUSED, refusal, str(master))
         elif len(self._relays) >= self._max_connections and not self._make_room():
             text = f"connection turned away: {self._max_connections} are open already"
-            self._tell(EventKind.DISCARDED, text, str(master))
+            self._report_event(EventKind.DISCARDED, text, str(master))
         else:
             self._relays.add(relay)
             return True
@@ -208,7 +203,7 @@ class TapSource(LiveSource[TapLink]):
             min(unused, key=lambda relay: relay.active_s).abort(CloseReason.CROWDED_OUT)
         return bool(unused)
 
-    def _tell(self, kind: EventKind, message: str, master: str = "") -> None:
+    def _report_event(self, kind: EventKind, message: str, master: str = "") -> None:
         self._outbox.put(
             WireEvent(
                 ts_ns=now_ns(),
@@ -339,9 +334,13 @@ class TcpRelay:
         self.received(self.master, ts_ns, data)
         result = self.screen.ask(data, ts_ns)
         for refused in result.refused:
-            self._tell(EventKind.BLOCKED, f"read-only: {refused}; answered here with exception 01")
+            self._report_event(
+                EventKind.BLOCKED, f"read-only: {refused}; answered here with exception 01"
+            )
         if result.is_broken:
-            self._tell(EventKind.BLOCKED, "read-only: bytes that are no requests; connection ended")
+            self._report_event(
+                EventKind.BLOCKED, "read-only: bytes that are no requests; connection ended"
+            )
             self.abort(CloseReason.RESET)
             return b""
         self.answer_refused()
@@ -401,7 +400,7 @@ class TcpRelay:
             self._reason = self._reason or CloseReason.RESET
         why = failure(error, side.who) if isinstance(error, OSError) else None
         if why is not None:
-            self._tell_refused(why)
+            self._report_refused(why)
         peer = side.peer
         if peer.transport is not None and not peer.is_lost:
             if error is not None:
@@ -425,7 +424,9 @@ class TcpRelay:
                 transport, self.master, tls, server_side=True, ssl_handshake_timeout=CONNECT_S
             )
         except OSError as error:
-            self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
+            self._report_refused(
+                failure(error, self.master.who) or f"TLS: {_unreachable_reason(error)}"
+            )
         finally:
             # If the connection ends during the handshake, asyncio may not call connection_lost, so
             # it is called here.
@@ -451,18 +452,18 @@ class TcpRelay:
                 )
         except (OSError, UnicodeError) as error:  # UnicodeError comes from an invalid host name.
             of_tls = failure(error, self.slave.who) if isinstance(error, OSError) else None
-            why = of_tls or f"cannot be reached: {_why(error)}"
+            why = of_tls or f"cannot be reached: {_unreachable_reason(error)}"
             if tls is not None and isinstance(error, TimeoutError):
                 why += "; perhaps it speaks no TLS"
             colon = ":" if of_tls else ""
-            self._tell_refused(f"{self._target}{colon} {why}")
+            self._report_refused(f"{self._target}{colon} {why}")
             if self.master.transport is not None:
                 reset(self.master.transport)
 
-    def _tell_refused(self, message: str) -> None:
-        self._tell(EventKind.REFUSED, message)
+    def _report_refused(self, message: str) -> None:
+        self._report_event(EventKind.REFUSED, message)
 
-    def _tell(self, kind: EventKind, message: str) -> None:
+    def _report_event(self, kind: EventKind, message: str) -> None:
         assert self._connection is not None
         self._inbox.put(
             WireEvent(
@@ -601,7 +602,7 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.resume_reading()
 
 
-def _why(error: Exception) -> str:
+def _unreachable_reason(error: Exception) -> str:
     """Return a text for the user that says why the target cannot be reached."""
     unknown = why_unknown(error)
     if unknown is not None:

@@ -65,7 +65,7 @@ MAX_LABELS = 256
 MAX_PART = 2 * MAX_RTU_ADU
 MAX_BEGINS = 8
 """A frame other than RTU is found in the first piece since the last frame and what follows, or in
-the last pieces, at most so many."""
+the last pieces, at most this many."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
 ENOUGH = 4
@@ -80,7 +80,7 @@ dump of one frame are 17 at most."""
 
 FEW_MISSES = 16
 FEWEST_MISSES = 4
-"""A log with too little evidence counts at its end if at most so many runs of bytes are no frame:
+"""A log with too little evidence counts at its end if at most this many runs of bytes are no frame:
 16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
 as most requests are, or of 5, as exception responses are, or several different ones."""
 
@@ -220,7 +220,8 @@ class TextFrames:
         self._has_marked = False
         """True once an RTU frame had a direction by a word or arrow."""
         self._missed = 0
-        """The number of runs of bytes without a frame before the log was known."""
+        """The number of places with bytes but no frame, counted until the log is known to have
+        Modbus frames."""
         self._bare_request: _FoundFrame | None = None
         """The last request that was shown without a frame, with the CRC that it would have."""
         self._begun: TextFrame | None = None

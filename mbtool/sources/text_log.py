@@ -1,7 +1,7 @@
 """Reads Modbus frames from text: the logs of other programs, terminals and analysers."""
 
 # No program has special code here. A line is read in three steps: its time (text_marks.py), the
-# places with bytes (text_notations.py), and the word or arrow before the bytes that names the
+# places with bytes, and the word or arrow before the bytes that names the
 # sender. A line without such a mark uses the mark of an earlier line, at most LOOK_BACK lines
 # before; the rows of a dump use that of its heading. text_frames.py decides which bytes are a
 # Modbus frame, and its direction. All other text is skipped and counted.
@@ -26,6 +26,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections import deque
+from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
@@ -36,6 +37,7 @@ from mbtool.core import (
     Endpoint,
     EventKind,
     Origin,
+    SerialFormat,
     Stamp,
     StreamPlace,
     WireEvent,
@@ -48,6 +50,7 @@ from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
     MAX_TIME_NS,
     DateOrder,
+    Mark,
     Time,
     bracket_mark,
     find_mark,
@@ -56,10 +59,6 @@ from mbtool.sources.text_marks import (
 
 if TYPE_CHECKING:
     import io
-    from collections.abc import Callable, Iterator
-
-    from mbtool.core import SerialFormat
-    from mbtool.sources.text_marks import Mark
 
 
 # Finds bytes in a line of text, in every notation that programs use.
@@ -147,7 +146,7 @@ def _ascii_frame(text: bytes) -> bytes:
     return text + b"\r\n"
 
 
-def _long(text: bytes) -> bytes:
+def _parse_long_digits(text: bytes) -> bytes:
     if text[:2] == b"0b" and not text[2:].strip(b"01"):
         raise ValueError("a binary number")
     return _digits(text[2:] if text[1:2] in b"xX" else text)
@@ -194,7 +193,7 @@ NOTATIONS = (
     Notation(
         (b"00000000",),
         re.compile(_BEFORE + rb"(?:0[xX])?(?:00){4,}[hH]?" + _AFTER),
-        _long,
+        _parse_long_digits,
     ),
 )  # fmt: skip
 _GROUPS = Notation(
@@ -238,9 +237,9 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
         row = _row(shape, offset.end())
         if row is not None:
             return [row]
-    places = [one for each in NOTATIONS for one in _found(each, shape, skip_to)]
+    places = [one for each in NOTATIONS for one in _find_notation(each, shape, skip_to)]
     if all(_size(shape, one) < MIN_PURE for one in places):
-        places += _found(_GROUPS, shape, skip_to)
+        places += _find_notation(_GROUPS, shape, skip_to)
     places.sort(key=lambda one: one.start - one.end)
     chosen: list[FoundBytes] = []
     for one in places:
@@ -252,11 +251,13 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
             chosen.append(FoundBytes(*single.span(1), _digits))
     if b"\\" in line or b'(0, "' in shape:
         chosen += _quoted(line, skip_to)
-    chosen += _found(_DECIMALS, shape, skip_to) + _found(_BARE_DECIMALS, shape, skip_to)
+    chosen += _find_notation(_DECIMALS, shape, skip_to) + _find_notation(
+        _BARE_DECIMALS, shape, skip_to
+    )
     return sorted(chosen, key=lambda one: one.start)
 
 
-def _found(notation: Notation, shape: bytes, skip_to: int) -> list[FoundBytes]:
+def _find_notation(notation: Notation, shape: bytes, skip_to: int) -> list[FoundBytes]:
     if not any(hint in shape for hint in notation.hints):
         return []
     return [
@@ -324,7 +325,8 @@ _HINTS = (b"00 00", b"0x0", b"00000000", b"00  00", b"[00", b"\\", b"00h", b"00 
 """Texts of which a line with bytes has at least one, after _SEPARATORS has translated it, unless it
 ends with a byte or has several commas or dashes. They are found faster than MAY_BE_BYTES."""
 _BEFORE_LAST = b":=>]"
-"""A single byte at the end of a line is at its front, or behind one of these."""
+"""The signs, besides the front of the line, behind which a single byte at the end of a line may
+stand."""
 _UNIMPORTANT = re.compile(rb"[0\s]+")
 _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
 _ESC = b"\x1b"
@@ -463,9 +465,9 @@ class TextLog:
                 lines.append(rest)
                 rest = b""
             if lines:
-                yield _cleaned(lines)
+                yield _without_colours(lines)
         if rest:
-            yield _cleaned([rest])
+            yield _without_colours([rest])
 
     def _planned(self, line: bytes, shape: bytes) -> _Plan | None:
         """Find what to read in lines of this shape; None if there is nothing."""
@@ -475,7 +477,7 @@ class TextLog:
         return plan
 
     def _read(self, line: bytes, plan: _Plan) -> list[TextFrame]:
-        ts_ns = None if plan.time is None else self._ns(plan.time, line)
+        ts_ns = None if plan.time is None else self._read_time_ns(plan.time, line)
         frames: list[TextFrame] = []
         for place in plan.places:
             choices = []
@@ -489,9 +491,9 @@ class TextLog:
             self.bytes_seen += len(choices[0])
             first, label = place.readings[0], place.label
             if first.is_row or not (label.text or label.mark or plan.time):
-                label, ts_ns = self._of_dump(line[: first.start], label, ts_ns)
+                label, ts_ns = self._label_and_time_of_dump_row(line[: first.start], label, ts_ns)
             elif label.mark is None or ts_ns is None:
-                label, ts_ns = self._of_lines_before(label, ts_ns)
+                label, ts_ns = self._label_and_time_of_lines_before(label, ts_ns)
             is_short = len(choices[0]) < LEAST_BYTES and not first.is_row
             if is_short and label.mark is None and not self._frames.is_open(label, self.lines):
                 continue
@@ -500,7 +502,9 @@ class TextLog:
             frames += self._frames.feed(choices, label, self._time_ns, self.lines)
         return frames
 
-    def _of_dump(self, offset: bytes, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+    def _label_and_time_of_dump_row(
+        self, offset: bytes, label: Label, ts_ns: int | None
+    ) -> tuple[Label, int | None]:
         """Return the label and the time of a row of bytes: those of its heading.
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
@@ -511,11 +515,13 @@ class TextLog:
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
             label = self._last_row[1]
         elif label.mark is None:
-            label, ts_ns = self._of_lines_before(label, ts_ns)
+            label, ts_ns = self._label_and_time_of_lines_before(label, ts_ns)
         self._last_row = self.lines, label
         return label, ts_ns
 
-    def _of_lines_before(self, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+    def _label_and_time_of_lines_before(
+        self, label: Label, ts_ns: int | None
+    ) -> tuple[Label, int | None]:
         """Return the label and the time, each from the lines before if the line has none."""
         mark: Mark | None = label.mark
         row = self.lines
@@ -525,11 +531,11 @@ class TextLog:
             if before is None:
                 if len(self._befores) >= MAX_SHAPES:
                     self._befores.clear()
-                before = self._befores[shape] = _before(line, self._plans.get(shape))
+                before = self._befores[shape] = _line_before(line, self._plans.get(shape))
             is_of_bytes = before.has_bytes
             mark = mark or before.mark
             if ts_ns is None and before.time is not None:
-                ts_ns = self._ns(before.time, line)
+                ts_ns = self._read_time_ns(before.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines belong to one object.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -538,7 +544,7 @@ class TextLog:
             label = Label(label.text + b"/" + mark.word, mark)
         return label, ts_ns
 
-    def _ns(self, time: Time, line: bytes) -> int | None:
+    def _read_time_ns(self, time: Time, line: bytes) -> int | None:
         try:
             ts_ns = self._dates.read(time, line[time.start : time.end])
         except (ValueError, KeyError):
@@ -592,7 +598,7 @@ class TextLog:
         )
 
 
-def _before(line: bytes, plan: _Plan | None) -> _Before:
+def _line_before(line: bytes, plan: _Plan | None) -> _Before:
     has_bytes = plan is not None and any(
         one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
     )
@@ -600,7 +606,7 @@ def _before(line: bytes, plan: _Plan | None) -> _Before:
     return _Before(has_bytes, mark, find_time(line))
 
 
-def _cleaned(lines: list[bytes]) -> list[bytes]:
+def _without_colours(lines: list[bytes]) -> list[bytes]:
     return [
         _COLOURS.sub(b"", line.rstrip(b"\r")) if _ESC in line else line.rstrip(b"\r")
         for line in lines

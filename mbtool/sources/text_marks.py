@@ -20,11 +20,9 @@ from __future__ import annotations
 
 import re
 from calendar import timegm
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import NamedTuple
 
 MAX_TIME_NS = 1 << 62
 NEAR = 120
@@ -239,7 +237,8 @@ _WEAK = re.compile(
     rb"(?i)(?<![a-z])(?:(?P<sent>writ(?:e|es|ing|ten)|wrote|master|output|out)"
     rb"|(?P<received>read(?:ing)?|slave|input|in|got))(?![a-z])"
 )
-"""Words that stand in other meanings, too: they count if there is no other."""
+"""Words that also have other meanings: such a word is taken for a mark only if the text has none of
+_STRONG."""
 
 
 class Mark(NamedTuple):

@@ -33,15 +33,12 @@ import select
 import signal
 import sys
 import tty
+from collections.abc import Sequence
 from contextlib import suppress
 from errno import EEXIST
 from time import monotonic_ns
-from typing import TYPE_CHECKING
 
 from mbtool.sources.child import run_promptly
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MAX_PENDING = 4096
 GRAIN_NS = 250_000
@@ -102,10 +99,10 @@ def main() -> None:
             try:
                 _make_link(link, port)
             except OSError as error:
-                _say({"errors": [f"cannot make the link {link}: {error.strerror}"]})
+                _print_answer({"errors": [f"cannot make the link {link}: {error.strerror}"]})
                 return
             made.append((link, port))
-        _say({"ports": links + ports[len(links) :]})
+        _print_answer({"ports": links + ports[len(links) :]})
         run(sys.stdin.fileno(), [near for near, _ in pairs], character_ns)
     finally:
         for link, port in made:
@@ -163,7 +160,7 @@ def _make_link(link: str, port: str) -> None:
     os.symlink(port, link)
 
 
-def _say(answer: dict[str, list[str]]) -> None:
+def _print_answer(answer: dict[str, list[str]]) -> None:
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 

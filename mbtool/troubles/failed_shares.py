@@ -17,21 +17,23 @@ if TYPE_CHECKING:
 # Limits with which `stats`, `report` and `watch` judge failed requests.
 
 FEW = 0.01
-"""Failures of a unit are a small thing if they are a smaller share of its requests than this (0.01
-is 1 %)."""
+"""Failures are grave only if they are at least this share (0 to 1) of the requests to a unit."""
 ENOUGH = 3
-"""Failures of a unit are a small thing if they are fewer than this."""
+"""Failures are grave only if they are at least this many of the requests to a unit."""
 THROUGHOUT = 0.1
-"""A failure that shows in this first share (0.1 is 10 %) of a unit's time was there from the
+"""If no request failed in this first share (0 to 1) of the time in which a unit was asked, the
+failures came late, and the report names the time of the first one. Else they were there from the
 beginning."""
 ENDED = 0.25
-"""A failure that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
+"""If no request failed in this last share (0 to 1) of the time in which a unit was asked, the
+failures have ended, and the report names the time of the last one."""
 SPREAD = 0.01
-"""Failures that show in a smaller share of a unit's time than this have no time of their own."""
+"""If the time from the first to the last failure is less than this share (0 to 1) of the time in
+which a unit was asked, the report names no time: the failures are counted among all requests."""
 
 
 def is_grave(failed: int, asked: int) -> bool:
-    """True if so many of a unit's requests failed that it is more than a small thing."""
+    """True if at least ENOUGH requests of a unit failed, and at least the share FEW of them."""
     return failed >= ENOUGH and failed >= FEW * asked
 
 
@@ -60,8 +62,8 @@ def time_of_failures(begin: int, first: int, last: int, end: int) -> tuple[bool,
 
 
 _SHORTEST_NS = 2_000_000_000
-"""A trouble names no time of failures if the unit was observed for less than this (ns), because
-times are shown in whole seconds."""
+"""A trouble names no time of failures if the unit was asked for less than this (ns), because times
+are shown in whole seconds."""
 
 
 class FailedShare(NamedTuple):

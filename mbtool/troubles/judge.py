@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,8 +19,8 @@ from mbtool.core.moments import counted, duration, in_ms
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import Severity
-from mbtool.ledger.account import OTHER_UNITS
-from mbtool.ledger.request_tally import merged
+from mbtool.ledger.account import OTHER_UNITS, Account
+from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
@@ -41,16 +41,11 @@ from mbtool.troubles.value_faults import ValueFaults
 from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.checking.quiet_run import QuietRows
+    from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.account import Account
-    from mbtool.ledger.answered_reads import AnsweredReads
-    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.poll_statistics import PollStatistics
-    from mbtool.ledger.request_tally import RequestTally
     from mbtool.troubles.sense import Sense
 
 # The senses that find the troubles of a serial line.
@@ -72,18 +67,22 @@ def network_senses(cases: Cases) -> list[Sense]:
 Q = TypeVar("Q", bound="QuietRows")
 
 JOINED = 3
-"""The same trouble of at least so many units, links or masters is reported as one."""
+"""Troubles with the same code are shown as one if at least this many units, links or masters have
+it."""
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
-"""A trouble of a unit, or a small one, explains another one if it has at least this share of its
-cases."""
+"""The trouble of one unit, or a small one, is the cause of another trouble only if it has at least
+this share (0 to 1) of the other's cases."""
 PIECES = 4
-"""Bytes that are no frame come in at most so many pieces a case, as adapters tear them."""
+"""Adapters tear the bytes of one damaged frame into several pieces. So the trouble of a unit is the
+cause of bytes that are no frame (RTU-201, RTU-202) if these are at most this many times as many as
+its cases."""
 CHANCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""
 _BYTES = frozenset(("RTU-201", "RTU-202"))
+"""The codes of findings for bytes that are no frame with a correct CRC."""
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
@@ -103,7 +102,7 @@ class Judgement:
     @property
     def is_enough(self) -> bool:
         """True if enough requests were answered to say that all is well."""
-        return _answered(self._total) >= ENOUGH
+        return _count_answered(self._total) >= ENOUGH
 
     @property
     def level(self) -> str:
@@ -128,7 +127,7 @@ class Judgement:
             if is_any:
                 return "There are only broadcasts, which no unit answers, in the recording."
             return "There is no transaction in the recording."
-        lacking, answered = total.count(Outcome.NOT_CAPTURED), _answered(total)
+        lacking, answered = total.count(Outcome.NOT_CAPTURED), _count_answered(total)
         lacks = f"; the recording lacks parts of {counted(lacking, 'transaction', ',')}"
         if not answered:
             return f"No trouble shows, but no request is answered{lacks if lacking else ''}."
@@ -225,7 +224,7 @@ class Judge:
             for sense in self._of_lines if record.transport.is_serial else self._of_networks:
                 sense.transaction(record)
 
-    def count_run(self, run: AnsweredRun, reads: Sequence[AnsweredReads] = ()) -> None:
+    def count_run(self, run: QuietRun, reads: AnsweredValues) -> None:
         """Count many answered requests of a network together. `reads` has their values."""
         for sense in self._senses:
             sense.run(run)
@@ -268,7 +267,7 @@ class Judge:
             replace(one, names_link=several)
             for one in self._cases.with_evidence(_unexplained(found))
         ]
-        return Judgement(_in_order(_joined(named)), links)
+        return Judgement(_sorted_worst_first(_joined(named)), links)
 
 
 def units_text(units: Collection[tuple[str, int]]) -> str:
@@ -349,7 +348,7 @@ def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
             yield replace(some[0], others=tuple(some[1 : MAX_OTHERS + 1]))
 
 
-def _in_order(troubles: Iterable[Trouble]) -> list[Trouble]:
+def _sorted_worst_first(troubles: Iterable[Trouble]) -> list[Trouble]:
     def rank(one: Trouble) -> tuple[int, int, float]:
         row = _ROWS.get(one.code, -1 if one.code.startswith("SEC") else len(_ROWS))
         return _SEVERITIES.index(one.severity), row, -one.weight
@@ -357,5 +356,5 @@ def _in_order(troubles: Iterable[Trouble]) -> list[Trouble]:
     return sorted(troubles, key=rank)
 
 
-def _answered(total: RequestTally) -> int:
+def _count_answered(total: RequestTally) -> int:
     return sum(map(total.count, _ANSWERS))

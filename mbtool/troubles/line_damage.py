@@ -42,6 +42,7 @@ A damaged frame is an event: a wrong CRC, or bytes that are no frame.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
@@ -56,49 +57,76 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport, PollReport
 
 ENOUGH = 3
+"""The least number of cases from which a trouble is reported."""
 ENOUGH_MERGED = 2
+"""The least number of damaged frames with the bytes of two requests that proves two masters."""
 FEW_MERGED = 0.1
-"""Where two slaves may have one address, two requests in one prove two masters only if they are at
-least this share (0 to 1) of the damage."""
+"""If a unit seems to have two slaves, damaged frames with the bytes of two requests prove two
+masters only if they are at least this share (0 to 1) of all damaged frames."""
 FEW = 0.01
-"""Fewer damaged frames than this share (0 to 1) of the transactions are a note."""
+"""LINE-NOISE and LINE-LOST-BYTES are notes if damaged frames are fewer than this share (0 to 1) of
+the transactions."""
 MOSTLY = 0.8
-"""Damage sits where at least this share (0 to 1) of it is."""
+"""If at least this share (0 to 1) of a line's damaged frames is in one kind of place (the answers
+of one unit, all answers, or the requests), the trouble names that place. A unit has two slaves only
+if at least this share is in or directly after its answers."""
 SHORTER = 0.6
+"""LINE-LOST-BYTES is reported, not LINE-NOISE, if at least this share (0 to 1) of the damaged
+frames of a known length are shorter than they should be."""
 WAITS = 1000
+"""The last times (ns) that are kept of a line's requests without an answer in time."""
 SOON = 0.85
-"""A request that comes sooner than this share (0 to 1) of the master's time-out is no give-up."""
+"""A request that comes within this share (0 to 1) of the median time for which this line's masters
+wait for missing answers did not follow a time-out: another master sent it."""
 OTHER_LENGTH = 0.5
+"""A share (0 to 1) that decides if a unit has two slaves: at least this share of its requests had
+damage behind them, less than this share of that damage follows the request to another unit without
+an answer in time, and, without extra bytes, at least this share of its damaged answers have another
+length than asked for, or begin with wrong bytes."""
 EXTRA = 0.25
-"""With two slaves, at least this share (0 to 1) of the damage has more bytes than asked for."""
+"""A unit has two slaves if at least this share (0 to 1) of the damage after its requests has more
+bytes than asked for."""
 LENGTHS = 4
-"""Damaged answers of one unit that collide with others have at least so many lengths."""
+"""If damaged answers of a unit have no extra bytes, differing lengths show two slaves only if there
+are at least this many different lengths."""
 ALIKE = 0.6
-"""A damaged request has at least this share (0 to 1) of its bytes right."""
+"""Damaged bytes are taken for a known request of the same size if at least this share (0 to 1) of
+its bytes are equal. A poll's period is exact if at least this share of its periods is near the
+median one."""
 LEAST_BYTES = 4
-"""Shorter pieces are no frame of anybody."""
+"""Damage of fewer bytes than this is not compared with known frames."""
 SECOND_NS = 200_000_000
-"""A second response to one request comes at most so long (ns) after the first."""
+"""A response without a request counts as a second response to the last request only if it comes at
+most this long (ns) after the first one."""
 EVEN = 0.1
-"""Periods of one master's polls differ by at most this share (0 to 1)."""
+"""Two periods of polls (ns) count as equal if they differ by at most this share (0 to 1)."""
 ENOUGH_PERIODS = 5
+"""Polls with fewer measured periods than this do not show which master sent them."""
 MOST_NAMED = 4
+"""A text names at most this many units of each master."""
 HELD = 32
+"""At most this many damaged frames of a line wait to be assigned to a request or an answer; beyond
+it, the oldest is forgotten."""
 KNOWN = 64
+"""At most this many different requests of a line are remembered; beyond it, the one sent least
+recently is forgotten."""
 POLLED = 2
-"""A master sends each of its requests at least so often; what comes once may be no request."""
+"""A request counts as one of a master only if the same bytes came at least this many times: bytes
+that came once may be an answer that was taken for a request."""
 _HEAD, _TAIL = 4, 4
+"""Damage may be two requests at once if its first and last bytes, this many of each, are those of
+two known requests."""
 _SHORTEST_REQUEST = 8
+"""The size in bytes of a request with one of the functions 1 to 6 over RTU."""
 _READS = frozenset((1, 2, 3, 4))
 _NOT_IN_TIME = frozenset((Outcome.NO_ANSWER, Outcome.LATE))
 _AROUND_VALUES = 5
-"""Bytes of an answer to a read that are no values: unit, function, byte count and CRC."""
+"""The number of bytes around the values in the answer to a read: unit, function, byte count and CRC
+(2)."""
 
 
 @dataclass(slots=True)
@@ -106,9 +134,10 @@ class _DamagedUnit:
     damaged: int = 0
     """The number of damaged answers."""
     shorter: int = 0
+    """The number of damaged answers with fewer bytes than asked for."""
     longer: int = 0
     lengths: set[int] = field(default_factory=set)
-    """By how many bytes damaged answers were longer than asked for; at most LENGTHS of them."""
+    """Different sizes of damaged answers, as bytes more than asked for; at most LENGTHS of them."""
     garbled: int = 0
     """The number of damaged answers whose first bytes are wrong, too."""
     seconds: int = 0
@@ -150,11 +179,11 @@ class _DamagedLine:
     interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
     """The waits (ns) of requests that another request interrupted before the usual answer."""
     responses: deque[int] = field(default_factory=lambda: deque(maxlen=HELD))
-    """When the last responses came (ns)."""
+    """The times (ns) of the last responses."""
     late: int = 0
     """The number of late answers, which make a master go on sooner, too."""
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
-    """How long (ns) requests without an answer in time waited for the next request."""
+    """The times (ns) from a request without an answer in time to the next request."""
     is_told: bool = False
     """True if the decoder reported two masters."""
     transactions: int = 0
@@ -163,8 +192,8 @@ class _DamagedLine:
 
     @property
     def interruptions(self) -> int:
-        """How many requests were interrupted sooner than by the master's time-out, which most
-        requests without an answer wait for.
+        """The number of requests that another request interrupted within the share SOON of the
+        master's usual time-out.
         """
         if not self.waits:
             return len(self.interrupted)
@@ -334,10 +363,10 @@ class LineDamage(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _of_line(link.name, line, link.polls)
+                yield from _line_troubles(link.name, line, link.polls)
 
 
-def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
+def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
     if not doubles:
         doubles = [number for number, unit in line.units.items() if _has_two_slaves(line, unit)]
@@ -362,7 +391,7 @@ def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iter
             victims=tuple(
                 each for each, other in line.units.items() if other.answered or each == number
             ),
-            figures={"how": _how_double(unit), "other": _colliding_unit_text(unit, count)},
+            figures={"how": _second_slave_text(unit), "other": _colliding_unit_text(unit, count)},
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -373,7 +402,7 @@ def _of_line(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iter
     short = line.short_requests + sum(unit.shorter for unit in units)
     known = line.in_requests + sum(unit.damaged for unit in units)
     is_short = known >= ENOUGH and short >= SHORTER * known
-    where, worst = _where(line)
+    where, worst = _place_of_damage(line)
     cases = [*line.cases, *(case for unit in units for case in unit.cases)]
     yield Trouble(
         code="LINE-LOST-BYTES" if is_short else "LINE-NOISE",
@@ -436,7 +465,7 @@ def _asked_text(polls: Sequence[PollStatistics], both: Collection[int]) -> str:
     return " and ".join([", ".join(some[:-1]), some[-1]] if len(some) > 1 else some)
 
 
-def _how_double(unit: _DamagedUnit) -> str:
+def _second_slave_text(unit: _DamagedUnit) -> str:
     """Say what shows that two slaves answer."""
     told = []
     if unit.seconds:
@@ -474,7 +503,7 @@ def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     return is_garbled or (is_other and len(unit.lengths) >= LENGTHS)
 
 
-def _where(line: _DamagedLine) -> tuple[str, int | None]:
+def _place_of_damage(line: _DamagedLine) -> tuple[str, int | None]:
     """Return where most of the damage sits, and the unit if it is that of one."""
     by_unit = Counter({number: unit.damaged for number, unit in line.units.items()})
     answers, number = by_unit.total(), line.damaged
@@ -506,18 +535,18 @@ def _note_answer(
     """Note the pieces of the damaged answer to a request."""
     unit.damaged += 1
     keep(unit.cases, Evidence.of(request, answer[0].message))
-    expected, came = _expected(request), sum(len(event.raw) for event in answer)
+    expected, came = _expected_answer_size(request), sum(len(event.raw) for event in answer)
     if expected is None:
         return
     unit.shorter += came < expected
     unit.longer += came > expected
     if len(unit.lengths) < LENGTHS:
         unit.lengths.add(came - expected)
-    unit.garbled += not _has_ends(answer[0].raw, _head(request, expected))
+    unit.garbled += not _has_ends(answer[0].raw, _expected_head(request, expected))
 
 
-def _head(request: NamedTransaction, expected: int) -> bytes:
-    """The first bytes of the answer to a request, which has so many bytes."""
+def _expected_head(request: NamedTransaction, expected: int) -> bytes:
+    """Return the first bytes of the answer to a request; `expected` is the size of that answer."""
     head = bytes([request.unit, request.function])
     values = expected - _AROUND_VALUES
     return head + bytes([values]) if request.function in _READS and values < 256 else head
@@ -542,8 +571,8 @@ def _request_of(raw: bytes, requests: Iterable[bytes]) -> bytes | None:
             if sum(mine == its for mine, its in zip(raw, one, strict=True)) >= ALIKE * len(one):
                 return one
         elif LEAST_BYTES <= len(raw) < len(one):
-            begin = _same(raw, one)
-            if begin + _same(raw[::-1], one[::-1]) >= len(raw):
+            begin = _common_prefix_size(raw, one)
+            if begin + _common_prefix_size(raw[::-1], one[::-1]) >= len(raw):
                 return one
     return None
 
@@ -573,7 +602,7 @@ def _answer_size(request: bytes) -> int:
     return _AROUND_VALUES + values
 
 
-def _same(one: bytes, other: bytes) -> int:
+def _common_prefix_size(one: bytes, other: bytes) -> int:
     """Return how many bytes at the beginning are the same."""
     return next(
         (at for at, (mine, its) in enumerate(zip(one, other, strict=False)) if mine != its),
@@ -581,7 +610,7 @@ def _same(one: bytes, other: bytes) -> int:
     )
 
 
-def _expected(one: NamedTransaction) -> int | None:
+def _expected_answer_size(one: NamedTransaction) -> int | None:
     """Return how many bytes the answer to a read over RTU should have; None if that is unknown."""
     if one.quantity is None:
         return None

@@ -23,10 +23,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
+from mbtool.core import WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.modbus import Outcome
@@ -34,30 +36,41 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
-"""Fewer late answers of a unit than this are a note."""
+"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers are called late
+only if there are at least this many."""
 FEW = 0.01
-"""Late answers to a smaller share (0 to 1) of the requests than this are a note."""
+"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than
+this."""
 SHORTEST_TIMEOUT_NS = 100_000_000
-"""No master gives a request up sooner (ns); what comes sooner is of another master, or the
-recording lacks the answer."""
+"""A request that comes less than this (ns) after one without an answer did not follow a time-out:
+another master sent it, or the recording lacks the answer."""
 MAX_UNITS = 500
+"""Late answers are kept for at most this many units, of all links together."""
 TIMES = 200
+"""The last times (ns) of each kind that are kept of a unit."""
 RECENT = 64
+"""The times (ns) of at most this many last requests, and as many damaged frames, are kept of each
+line."""
 PACE = 1.1
-"""A master that waits for a time-out waits at least this many times as long as for answers."""
+"""A master has waited for its time-out if its wait (ns) is at least this many times its median time
+from an answered request to the next one."""
 OFTEN = 0.5
+"""A share (0 to 1). A unit without late answers is blamed for damage only if at least this share of
+its wakes (the times after its unanswered requests) has damage, and its wakes are at most this share
+of the recording. On a line with at least this many damaged frames for each late or missing answer,
+damage explains these unless the master waited for them."""
 MOSTLY = 0.8
+"""A unit that never answers in time is blamed for damage only if in at least this share (0 to 1) of
+its wakes a request to another unit failed, too."""
 ITS_OWN = 0.7
-"""A unit's late answers damage frames if at least this share (0 to 1) of the damage is in its
-wakes."""
+"""Damage on a line is blamed on a unit's late answers only if at least this share (0 to 1) of it
+follows requests to this unit that were not answered in time."""
 NEAR = 0.85
-"""Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
+"""Missing answers of a unit are called late if the 95th percentile of its latencies is at least
+this share (0 to 1) of the master's time-out."""
 
 
 @dataclass(slots=True)
@@ -68,14 +81,16 @@ class _LateUnit:
     missing: int = 0
     latencies: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
-    """How long the master waited for answers that did not come in time."""
+    """The times (ns) from requests without an answer in time to the master's next request."""
     paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=TIMES))
-    """Of answered requests, the latency and the time to the next request."""
+    """Pairs of times (ns) of answered requests: the latency, and the time from request to next
+    request."""
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
     wakes: int = 0
+    """The number of times after a request to this unit that was not answered in time (_Wake)."""
     wakes_ns: int = 0
-    """How long all wakes took."""
+    """The sum of the lengths of these times, in ns."""
     damaged_wakes: int = 0
     spoilt_wakes: int = 0
     """The number of damaged wakes in which another unit's request failed."""
@@ -97,13 +112,13 @@ class _Wake:
 @dataclass(slots=True)
 class _LateLine:
     last: NamedTransaction | None = None
-    """The transaction whose next request is not known yet."""
+    """The last transaction; it is judged once the master's next request is known."""
     pending: list[NamedTransaction] = field(default_factory=list)
     """Late transactions whose response is not reached yet."""
     requests: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    """When the last requests were sent (ns)."""
+    """The times (ns) of the last requests."""
     damage: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
-    """When the last damaged frames came (ns)."""
+    """The times (ns) of the last damaged frames."""
     damaged: int = 0
     units: set[int] = field(default_factory=set)
     wakes: list[_Wake] = field(default_factory=list)
@@ -225,10 +240,10 @@ class LateOnLine(SortedSense):
                 unit = self._units.get((link.name, number))
                 if unit is not None:
                     line = self._lines[link.name]
-                    yield from _of_unit(link.name, number, unit, line, merged(some))
+                    yield from _unit_troubles(link.name, number, unit, line, merged(some))
 
 
-def _of_unit(
+def _unit_troubles(
     link: str, number: int, unit: _LateUnit, line: _LateLine, tally: RequestTally
 ) -> Iterator[Trouble]:
     is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
@@ -240,8 +255,8 @@ def _of_unit(
         yield _trouble(link, number, unit, tally.requests)
         return
     is_dead = tally.latency.count < ENOUGH
-    if _disturbs(unit, line, is_dead=is_dead):
-        wait = _s(median(unit.waits))
+    if _is_cause_of_damage(unit, line, is_dead=is_dead):
+        wait = _seconds_text(median(unit.waits))
         yield Trouble(
             code="LINE-LATE",
             link=link,
@@ -269,9 +284,9 @@ def _of_unit(
             of=tally.requests,
             weight=unit.missing,
             figures={
-                "latency": f"up to {_s(slowest_ns)}",
-                "timeout": _s(wait_ns),
-                "longest": _s(2 * wait_ns),
+                "latency": f"up to {_seconds_text(slowest_ns)}",
+                "timeout": _seconds_text(wait_ns),
+                "longest": _seconds_text(2 * wait_ns),
             },
             sureness=Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
@@ -296,10 +311,10 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
     unit.count += 1
     latency_ns = one.latency_ns or 0
     unit.latencies.append(latency_ns)
-    keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
+    keep(unit.cases, Evidence.of(one, f"answered after {_seconds_text(latency_ns)}"))
 
 
-def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
+def _is_cause_of_damage(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
     """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
     answers in time (`is_dead`), another request must fail in most wakes.
     """
@@ -316,7 +331,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
     is_rare = late.count < ENOUGH
     count = late.count if is_rare else max(late.count, late.missing)
-    waits = _s(median(late.waits)) if late.waits else "less"
+    waits = _seconds_text(median(late.waits)) if late.waits else "less"
     return Trouble(
         code="LINE-LATE",
         link=link,
@@ -325,10 +340,14 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         of=max(requests, count),
         weight=count,
         is_small=is_rare or count < FEW * requests,
-        figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
+        figures={
+            "latency": _seconds_text(latency_ns),
+            "timeout": waits,
+            "longest": _seconds_text(longest_ns),
+        },
         evidence=tuple(late.cases),
     )
 
 
-def _s(ns: float) -> str:
+def _seconds_text(ns: float) -> str:
     return f"{ns / 1e9:.2f} s"

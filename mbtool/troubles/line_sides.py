@@ -19,10 +19,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import EventKind, WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.line_late import SHORTEST_TIMEOUT_NS
@@ -30,20 +31,22 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 10
+"""LINE-ONE-SIDE is reported from this many requests, or responses, on."""
 ENOUGH_COPIES = 3
+"""LINE-ECHO and LINE-REPEATED are reported from this many copies on."""
 SOON_NS = 1_000_000_000
-"""A copy of a response comes at most so long (ns) after it."""
+"""A response without a request counts as a copy of the last response, if its bytes are the same and
+it comes at most this long (ns) after it."""
 OFTEN = 0.1
-"""Responses are repeated if at least this share (0 to 1) of them come twice."""
+"""LINE-REPEATED is reported if copies are at least this share (0 to 1) of the responses."""
 MOSTLY = 0.5
+"""If only one unit is asked, LINE-ONE-SIDE is reported only if at least this share (0 to 1) of the
+requests came within SHORTEST_TIMEOUT_NS of the one before."""
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
-"""Functions whose response can be taken for a request."""
+"""Functions whose response can have the form of a request."""
 _BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO, EventKind.REPEATED))
 
 
@@ -52,11 +55,12 @@ class _SidedLine:
     units: set[int] = field(default_factory=set)
     requests: int = 0
     other_requests: int = 0
-    """The number of requests whose response could not be taken for them."""
+    """The number of requests with a function whose response never looks like a request."""
     last_ns: int = 0
-    """When the last request was sent (UTC ns)."""
+    """The time (UTC ns) of the last request."""
     soon: int = 0
-    """The number of requests that came so soon after the one before that this was not given up."""
+    """The number of requests that came less than SHORTEST_TIMEOUT_NS after the one before: no
+    master gives up a request within this time."""
     responses: int = 0
     alone: int = 0
     """The number of responses without a request."""

@@ -23,11 +23,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import log
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.core.moments import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
@@ -35,36 +36,45 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import SerialFormat
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 5
+"""The least number of constant bytes, or of pieces, from which a trouble is reported."""
 FEW = 0.1
-"""A constant byte stands beside at least this share (0 to 1) of the transactions."""
+"""LINE-BIAS is reported only if constant bytes are at least this share (0 to 1) of the requests. It
+names a unit if at least this share of the constant bytes is beside its frames."""
 MOSTLY = 0.8
+"""LINE-BIAS is reported only if at least this share (0 to 1) of the single bytes has the same
+value."""
 OFTEN = 0.2
-"""A place is reported if at least this share (0 to 1) of the constant bytes are there."""
+"""LINE-BIAS names a place, such as before answers, if at least this share (0 to 1) of the constant
+bytes is there."""
 LONGEST_BIAS = 2
+"""At most this many equal bytes count as bytes of an idle line; more are a piece."""
 NEAR_NS = 4_000_000
-"""A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
-has made coarser tell no place."""
+"""A constant byte gets the place of the nearest frame if that begins or ends at most this long (ns)
+from it. Farther away it gets no place, as the times of some adapters are too coarse."""
 FOREIGN_BYTES = 50
-"""The least number of bytes of another protocol."""
+"""LINE-FOREIGN is reported only if the pieces have at least this many bytes in all."""
 ALIKE = 0.8
-"""At least this share (0 to 1) of the pieces have the same form."""
+"""LINE-FOREIGN is reported if at least this share (0 to 1) of the pieces is readable text, or
+begins with the same two bytes."""
 SHORTEST_PIECE = 6
+"""Shorter pieces (bytes) are not counted for LINE-FOREIGN."""
 PIECE_NS = 50_000_000
-"""A piece that comes so soon (ns) after another one, and begins as none before, is its rest: an
-adapter or a pause has torn it."""
+"""A piece is taken for the rest of the piece before it, which an adapter or a pause has torn, if it
+comes at most this long (ns) after it and no earlier piece begins with the same two bytes."""
 HEADS = 64
+"""At most this many different beginnings (two bytes) of pieces are counted for each line."""
 ENOUGH_BYTES = 100
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this many bytes."""
 ENOUGH_PIECES = 5
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this many pieces."""
 SHORTEST_NS = 2_000_000_000
+"""LINE-SETTINGS needs a stretch without a correct frame of at least this time (ns)."""
 CHANCE = 1e-6
-"""A stretch is reported if its probability is below this: the probability that the usual noise of
-the line damages so many frames in a row."""
+"""LINE-SETTINGS needs a stretch whose pieces the line's usual noise would damage in a row with a
+lower probability (0 to 1) than this."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 
 
@@ -94,9 +104,9 @@ class _StrayLine:
     pieces: int = 0
     piece_bytes: int = 0
     piece_ns: int | None = None
-    """When the last piece came; None if a frame came since."""
+    """The time (ns) of the last piece; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
-    """By their first two bytes, the numbers of pieces."""
+    """The number of pieces by their first two bytes."""
     own_heads: set[bytes] = field(default_factory=set)
     """The first two bytes of known frames: pieces that begin so may be damaged frames."""
     foreign_cases: list[Evidence] = field(default_factory=list)
@@ -211,13 +221,13 @@ class StrayBytes(SortedSense):
         for link in links:
             line = self._lines.get(link.name)
             if line is not None and link.is_whole:
-                yield from _bias(link, line)
-                yield from _foreign(link.name, line)
+                yield from _bias_troubles(link, line)
+                yield from _foreign_troubles(link.name, line)
         for name, line in self._lines.items():
-            yield from _settings(name, line)
+            yield from _settings_troubles(name, line)
 
 
-def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
+def _bias_troubles(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     if not line.bias:
         return
     (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
@@ -229,7 +239,11 @@ def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
         by_place[place] += number
     total = by_place.total() or 1
     places = [place for place, number in by_place.most_common() if number >= OFTEN * total]
-    whose = _whose(link, line, total) if all(place.endswith("answers") for place in places) else ""
+    whose = (
+        _units_beside(link, line, total)
+        if all(place.endswith("answers") for place in places)
+        else ""
+    )
     where = f"{' and '.join(places)}{f' of {whose}' if whose else ''}" or "between frames"
     yield Trouble(
         code="LINE-BIAS", link=link.name, count=count, of=max(2 * transactions, count),
@@ -240,7 +254,7 @@ def _bias(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _whose(link: LinkReport, line: _StrayLine, total: int) -> str:
+def _units_beside(link: LinkReport, line: _StrayLine, total: int) -> str:
     """Name the units beside whose frames the constant bytes stand; empty if they are all that
     answer.
     """
@@ -278,7 +292,7 @@ def _bias_words(places: Sequence[str], whose: str) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:
+def _foreign_troubles(link: str, line: _StrayLine) -> Iterator[Trouble]:
     if line.pieces < ENOUGH or line.piece_bytes < FOREIGN_BYTES:
         return
     if line.answered < ENOUGH or line.answered < 0.5 * line.requests:
@@ -299,13 +313,13 @@ def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
+def _settings_troubles(link: str, line: _StrayLine) -> Iterator[Trouble]:
     found = [*line.stretches]
     if line.stretch is not None and _is_wrong(line.stretch):
         found.append(line.stretch)
     pieces = line.damaged + sum(one.pieces for one in found)
     for one in found:
-        if one.pieces < _by_chance(pieces - one.pieces, line.frames):
+        if one.pieces < _chance_run_length(pieces - one.pieces, line.frames):
             continue
         whole = not line.answered
         when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
@@ -328,9 +342,9 @@ def _end_stretch(line: _StrayLine) -> None:
         line.damaged += stretch.pieces
 
 
-def _by_chance(damaged: int, right: int) -> float:
-    """Return how many damaged frames in a row may still be chance on a line with so many damaged
-    and right ones.
+def _chance_run_length(damaged: int, right: int) -> float:
+    """Return the number of damaged frames in a row that usual noise causes with the probability
+    CHANCE, on a line that has `damaged` and `right` frames in all.
     """
     return log(CHANCE) / log(damaged / (damaged + right)) if damaged and right else 0
 

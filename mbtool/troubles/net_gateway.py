@@ -33,6 +33,7 @@ answers.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from statistics import median, median_low
@@ -47,37 +48,59 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.ledger.statistics_report import LinkReport
 
 SLOW_NS = 300_000_000
+"""Requests that take at least this long (ns), or get no answer, are kept for NET-BLOCKED. A next
+request that comes at least this long after a late one is a sign of NET-LATE."""
 LONGEST_NS = 10_000_000_000
+"""A request that ends later than this (ns) after it was sent does not block the requests after
+it."""
 UNANSWERED_NS = 1_000_000_000
-"""A request without an answer blocks a line for about so long (ns), as nobody says for how long."""
+"""A gateway's line is taken as blocked for at least this long (ns) by a request without an answer,
+as the capture does not show when the gateway gave it up."""
 ENOUGH = 3
+"""The least number of blocked requests of NET-BLOCKED, or of late answers of NET-LATE."""
 MORE = 2
-"""A unit is the cause if others wait for it at least this many times as often as it for them."""
+"""A unit is the cause of NET-BLOCKED only if requests to others waited for it at least this many
+times as often as its requests waited for others."""
 MOSTLY = 0.5
+"""A share (0 to 1). A request was blocked if it spent at least this share of its wait on one
+request to another unit. A unit is a victim if at least this share of its slow requests was
+blocked."""
 EVEN = 0.15
-"""A master's waits for late answers differ by at most this share (0 to 1)."""
+"""Waits of a master count as its time-out if they differ from their median by at most this share
+(0 to 1)."""
 WAIT_NS = 40_000_000
+"""A request waits for another master's request if that one is answered at least this long (ns)
+after it was sent."""
 ENOUGH_WAITS = 20
+"""NET-SHARED is reported from this many waiting requests on."""
 OFTEN = 0.1
-"""Masters wait for each other if at least this share (0 to 1) of their requests does."""
+"""NET-SHARED is reported only if at least this share (0 to 1) of the link's requests waits for
+another master's request."""
 SLOPE = (0.6, 1.5)
-"""By how much (ns) the latency rises for each ns of waiting, if the wait is its cause."""
+"""NET-SHARED is reported only if the rise of the latency with the wait (ns of latency for each ns
+of wait, from a linear fit) is in this range; 1 means that the wait is all of the delay."""
 IN_ORDER = 0.9
+"""NET-SHARED is reported only if at least this share (0 to 1) of the waiting requests is answered
+after the request that they waited for."""
 SERVED_NS = 5_000_000
-"""A request that has its turn takes at least so long (ns) in the mean."""
+"""NET-SHARED is reported only if the median time from a request's turn (the end of the one it
+waited for) to its answer is at least this long (ns)."""
 SLOWER = 2.5
-"""A unit that takes at least this many times as long as others holds the line up by itself."""
+"""A unit whose median time from turn to answer is at least this many times that of the other units
+is slow by itself: requests that wait for it do not count for NET-SHARED."""
 KEPT = 5000
+"""At most this many slow requests, and this many requests that may wait, are kept for each link;
+beyond it, the oldest is forgotten."""
 RECENT = 8
+"""The last transactions of a connection, or requests of a line, that a new one is compared with."""
 OF_TIMEOUT = 0.8
-"""At least this share (0 to 1) of the times at which a master has two requests open come from its
-time-out; a master that pipelines has others."""
+"""NET-LATE is reported only if at least this share (0 to 1) of the times at which a master had two
+requests open follows the same wait, its time-out. A master that pipelines sends at other times,
+too."""
 
 
 class _Slow(NamedTuple):
@@ -123,7 +146,7 @@ class _SharedWait(NamedTuple):
 
     @property
     def served_ns(self) -> int:
-        """How long it took from its turn on."""
+        """The time (ns) from its turn, when the request before it ended, to its answer."""
         return self.of.end_ns - self.before.end_ns
 
 
@@ -145,9 +168,11 @@ class _MasterTalk:
     )
     """The last transactions, and when each began."""
     overlaps: int = 0
-    """How often a request came while another one was not answered yet, until `late` is full."""
+    """The number of requests that came while another one had no answer yet, counted until `late` is
+    full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
-    """Transactions whose answer came after the next request, and how long the master waited."""
+    """Pairs of a transaction whose answer came after the next request, and the time (ns) from it to
+    that request."""
 
 
 class Gateways(Sense):
@@ -179,30 +204,19 @@ class Gateways(Sense):
             )
         self._note_overlap(one)
 
-    def run(self, run: AnsweredRun) -> None:
-        for form in run.forms():
+    def run(self, run: QuietRun) -> None:
+        for form in run.forms:
             self._shared_by(form.like)
-        if run.longest_ns < min(WAIT_NS, SLOW_NS):
-            return
-        for kind in run.kinds:
-            like, longest_ns = kind.like, max(kind.latencies)
-            if longest_ns < min(WAIT_NS, SLOW_NS):
-                continue
+        for place, latency_ns in run.slow(min(WAIT_NS, SLOW_NS)):
+            like, at_ns = run.forms[run.form[place]].like, run.rows.request_ns[place]
             shared = self._shared_by(like)
-            if shared is not None and longest_ns >= WAIT_NS:
-                master = host_of(like.source)
-                shared.waiting += (
-                    _SlowRequest(at_ns, at_ns + latency_ns, master, like.unit, like.address)
-                    for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True)
-                    if latency_ns >= WAIT_NS
-                )
-            if longest_ns < SLOW_NS:
-                continue
-            each = zip(kind.request_ns, kind.latencies, strict=True)
-            for index, (at_ns, latency_ns) in enumerate(each):
-                if latency_ns >= SLOW_NS:
-                    evidence = Evidence(ts_ns=at_ns, file=like.file, packets=kind.packets(index))
-                    self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
+            if shared is not None and latency_ns >= WAIT_NS:
+                master, address = host_of(like.source), run.like(place).address
+                end_ns = at_ns + latency_ns
+                shared.waiting.append(_SlowRequest(at_ns, end_ns, master, like.unit, address))
+            if latency_ns >= SLOW_NS:
+                evidence = Evidence(ts_ns=at_ns, file=like.file, packets=run.packets(place))
+                self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
 
     def _shared_by(self, one: NamedTransaction) -> _SharedLink | None:
         """Return the requests of the link of a transaction if it has several masters."""
@@ -258,22 +272,24 @@ class Gateways(Sense):
         for of_link in links:
             slow, shared = self._slow.get(of_link.name), self._shared.get(of_link.name)
             if of_link.is_whole and slow is not None:
-                yield from _blocked(of_link, slow)
+                yield from _blocked_troubles(of_link, slow)
             if of_link.is_whole and shared is not None and shared.waiting:
-                yield from _of_shared(of_link, shared)
+                yield from _masters_wait_trouble(of_link, shared)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
-            cases = _of_one_timeout(connection.late)
+            cases = _cases_with_equal_wait(connection.late)
             if len(cases) >= OF_TIMEOUT * connection.overlaps:
                 for case in cases:
                     late.setdefault((case[0].link, case[0].unit), []).append(case)
         for (link, unit), cases in late.items():
-            distinct = _of_one_timeout([*{case[0].start_ns: case for case in cases}.values()])
+            distinct = _cases_with_equal_wait(
+                [*{case[0].start_ns: case for case in cases}.values()]
+            )
             if link in whole and len(distinct) >= ENOUGH:
-                yield _late(link, unit, distinct, asked.get((link, unit), 0))
+                yield _late_answers_trouble(link, unit, distinct, asked.get((link, unit), 0))
 
 
-def _of_one_timeout(
+def _cases_with_equal_wait(
     cases: list[tuple[NamedTransaction, int]],
 ) -> list[tuple[NamedTransaction, int]]:
     """Return the cases in which the master waited about equally long, as for a time-out."""
@@ -283,7 +299,7 @@ def _of_one_timeout(
     return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
 
 
-def _late(
+def _late_answers_trouble(
     link: str, unit: int, cases: Sequence[tuple[NamedTransaction, int]], asked: int
 ) -> Trouble:
     latencies = [one.latency_ns or 0 for one, _ in cases]
@@ -300,7 +316,7 @@ def _late(
     )  # fmt: skip
 
 
-def _of_shared(link: LinkReport, shared: _SharedLink) -> Iterator[Trouble]:
+def _masters_wait_trouble(link: LinkReport, shared: _SharedLink) -> Iterator[Trouble]:
     """Yield the trouble that masters wait for each other, if they do."""
     waits, overtakes = _waits_of(shared.waiting)
     holders = _slower_units(shared.waiting, waits)
@@ -377,7 +393,7 @@ def _slope(groups: Sequence[Sequence[_SharedWait]]) -> float:
     return products / squares if squares else 0.0
 
 
-def _blocked(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Trouble]:
+def _blocked_troubles(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Trouble]:
     """Yield the units of a gateway that the requests to its other units wait for."""
     waits: dict[int, list[_BlockedRequest]] = {}
     """By unit, the requests to other units that waited for it."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -28,18 +29,24 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
 
 MAX_HOSTS = 4096
+"""Addresses are kept for at most this many hosts; further hosts are ignored."""
 MAX_MACS = 4
+"""At most this many MAC addresses are kept for each host."""
 ENOUGH = 3
+"""A MAC address of a host counts for NET-TWO-MACS only if it was seen in at least this many
+transactions."""
 LATER_NS = 30_000_000_000
+"""NET-ROLE is reported if a host sent its first request at least this long (ns) after its first
+answer."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 _SHARED = ("00:00:5e:00:01:", "00:00:5e:00:02:", "00:00:0c:07:ac:", "00:00:0c:9f:f")
+"""The beginnings of the MAC addresses that routers share (VRRP, HSRP); they prove no second
+host."""
 _IN_A_NETWORK = re.compile(r"(\d+\.\d+\.\d+)\.\d+")
 
 
@@ -57,9 +64,9 @@ class _SeenHost:
     """True if it talked with a host of its own network."""
     link: str = ""
     slave_ns: int | None = None
-    """When it first answered as a slave."""
+    """The time (UTC ns) of its first answer as a slave."""
     master_ns: int | None = None
-    """When it first sent a request."""
+    """The time (UTC ns) of its first request."""
     requests: int = 0
     asked: str = ""
     """The slave that it asked first."""
@@ -77,10 +84,12 @@ class Hosts(Sense):
         if not one.transport.is_serial:
             self._note(one, 1, one.start_ns, one.start_ns)
 
-    def run(self, run: AnsweredRun) -> None:
-        for kind in run.forms():
-            first = Evidence(ts_ns=kind.request_ns[0], file=kind.like.file, packets=kind.packets(0))
-            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns, first)
+    def run(self, run: QuietRun) -> None:
+        for form in run.forms:
+            place = form.places[0]
+            at_ns, packets = run.rows.request_ns[place], run.packets(place)
+            first = Evidence(ts_ns=at_ns, file=form.like.file, packets=packets)
+            self._note(form.like, len(form.places), form.begin_ns, form.end_ns, first)
 
     def _note(
         self,

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,10 +29,8 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
@@ -49,9 +48,12 @@ if TYPE_CHECKING:
 # link.
 
 ENOUGH = 3
+"""NET-LOSSY is reported from this many retransmissions on, or from HELD_NS on."""
 HELD_NS = 1_000_000_000
-"""Even fewer retransmissions than ENOUGH are reported if one delayed an answer by so long (ns)."""
+"""NET-LOSSY is also reported for fewer than ENOUGH retransmissions if an answer came this long (ns)
+or longer after its request, and something was sent again in between."""
 PENDING = 64
+"""At most this many retransmissions wait for an answer after them; further ones are not counted."""
 
 
 @dataclass(slots=True)
@@ -107,8 +109,8 @@ class LossyPaths(Sense):
         if path is not None and path.pending:
             path.confirm(one.start_ns, one.response_ns)
 
-    def run(self, run: AnsweredRun) -> None:
-        for kind in run.forms() if self._paths else ():
+    def run(self, run: QuietRun) -> None:
+        for kind in run.forms if self._paths else ():
             path = self._paths.get((kind.like.link, host_of(kind.like.source)))
             if path is not None and path.pending:
                 path.confirm(kind.end_ns, kind.end_ns)
@@ -131,15 +133,21 @@ class LossyPaths(Sense):
 
 
 FEW = 3
-"""Fewer lost connections than this are a note."""
+"""NET-LOST is a note if fewer connections than this were lost."""
 MOSTLY = 0.9
-"""If at least this share (0 to 1) of a master's connections are reset, it ends them so."""
+"""NET-LOST is a note if at least this share (0 to 1) of a master's connections is reset while no
+request is open: the master ends its connections by a reset."""
 BLAMED = 0.5
-"""A unit is not blamed if at least this share (0 to 1) of its missing answers were cut off."""
+"""If at least this share (0 to 1) of a unit's missing answers is missing because the connection was
+reset, NET-LOST is their cause, and the unit has no trouble of its own."""
 SHORTEST_PAUSE_NS = 100_000_000
+"""The trouble says how long a master had no connection only if it is at least this time (ns) in
+all."""
 NOBODY = -2
-"""Stands in place of a unit if a lost connection explains the failures of none."""
+"""The only victim of a NET-LOST that caused no unit's missing answers. No unit has this number; an
+empty list of victims would mean all units."""
 _ENDS = ("connection closed: reset", "connection closed: refused")
+"""The beginnings of the messages of events for connections that were reset or refused."""
 
 
 @dataclass(slots=True)
@@ -150,9 +158,10 @@ class _LostMaster:
     cut: Counter[int] = field(default_factory=Counter)
     """By unit, the number of requests that were open when their connection was reset."""
     lost_ns: int | None = None
-    """When a connection was lost; None if the master has opened another one since."""
+    """The time (UTC ns) of the first lost connection since the master last opened one; None if no
+    connection was lost since."""
     pause_ns: int = 0
-    """How long the master had no connection, in all."""
+    """The sum of the times (ns) from a lost connection to the next one that was opened."""
 
 
 class LostConnections(Sense):
@@ -161,8 +170,8 @@ class LostConnections(Sense):
     def __init__(self) -> None:
         self._masters: dict[tuple[str, str], _LostMaster] = {}
         self._open: OrderedDict[tuple[str, str], int] = OrderedDict()
-        """By link and endpoint of the master, the unit whose request has no answer, if it was the
-        last one."""
+        """The key is the link and the endpoint of the master; the value is the unit of the last
+        request there, if that request has no answer."""
 
     def begin_capture(self) -> None:
         self._open.clear()
@@ -186,8 +195,8 @@ class LostConnections(Sense):
         elif is_refused or (event.kind is EventKind.CLOSED and event.message.startswith(_ENDS)):
             self._note_lost(event)
 
-    def run(self, run: AnsweredRun) -> None:
-        for one in run.connections:
+    def run(self, run: QuietRun) -> None:
+        for one in run.opened_and_closed:
             if one.first_opened_ns is not None:
                 self._note_opened(one.link, one.host, one.first_opened_ns)
 

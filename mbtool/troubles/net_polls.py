@@ -16,11 +16,12 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import EventKind, WireEvent
 from mbtool.core.moments import counted, host_of, in_ms
 from mbtool.framing.mbap import PARTS_NS
 from mbtool.modbus import RESPONDED, Outcome, Transport
@@ -28,22 +29,29 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.cases import Cases
 
 ENOUGH = 10
+"""The least number of cases (transactions with a missing half, delayed messages, or answers of a
+poll). With fewer, no trouble is reported."""
 MOSTLY = 0.8
+"""The least share (0 to 1) of the cases among all transactions, messages or answers. With a smaller
+one, no trouble is reported."""
 FEW_CUT = 0.1
-"""A capture that lacks parts of packets more often than this (0 to 1) lacks no whole direction."""
+"""NET-ONE-SIDE is reported only if events about cut or missing bytes are at most this share
+(0 to 1) of the link's transactions: a capture with many such losses does not show that one
+direction is absent."""
 TIMERS_NS = ((36_000_000, 46_000_000), (185_000_000, 225_000_000))
-"""The least and the greatest time (ns) by which a delayed acknowledgement is recognised."""
+"""Two ranges of time (least, greatest; ns): around 40 ms, the delayed acknowledgement of Linux, and
+around 200 ms, that of Windows. Times in a range are taken for such a delay."""
 TIMES = 200
+"""The last times (ns) that are kept of each sender, for the median that the trouble shows."""
 QUICK_NS = 20_000_000
+"""Slow polls of a unit are reported only if another poll of the same unit has a median latency
+below this (ns)."""
 _CUT = frozenset((EventKind.CUT, EventKind.GAP, EventKind.SKIPPED))
 
 
@@ -53,7 +61,7 @@ class _Parts:
 
     count: int = 0
     delayed: int = 0
-    """The number of those between whose parts was the time of a delayed acknowledgement."""
+    """The number of messages whose second part came after a time in one of TIMERS_NS."""
     times: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
     """The times (ns) between their parts."""
     cases: list[Evidence] = field(default_factory=list)
@@ -67,7 +75,8 @@ class NetworkPolls(Sense):
         self._cut: Counter[str] = Counter()
         """By link, the number of events about missing bytes."""
         self._parts: dict[tuple[str, str | int], _Parts] = {}
-        """By link, and by the master's host for requests, by the unit for answers."""
+        """The key is the link and the sender: for requests the host of the master, for answers the
+        number of the unit."""
 
     def transaction(self, one: NamedTransaction) -> None:
         if one.transport is not Transport.TCP or one.request_ns is None:
@@ -98,13 +107,17 @@ class NetworkPolls(Sense):
         for link in links:
             if not link.is_serial and link.is_whole:
                 if self._cut[link.name] <= FEW_CUT * link.tally.transactions:
-                    yield from _one_side(link)
-                found = [*self._in_parts(link)]
+                    yield from _one_side_trouble(link)
+                found = [*self._delayed_parts_troubles(link)]
                 yield from found
                 told = {one.unit for one in found}
-                yield from (one for one in _delayed(link, self._cases) if one.unit not in told)
+                yield from (
+                    one
+                    for one in _delayed_polls_troubles(link, self._cases)
+                    if one.unit not in told
+                )
 
-    def _in_parts(self, link: LinkReport) -> Iterator[Trouble]:
+    def _delayed_parts_troubles(self, link: LinkReport) -> Iterator[Trouble]:
         for (name, who), parts in self._parts.items():
             if name != link.name or parts.delayed < max(ENOUGH, MOSTLY * parts.count):
                 continue
@@ -124,7 +137,7 @@ class NetworkPolls(Sense):
             )  # fmt: skip
 
 
-def _one_side(link: LinkReport) -> Iterator[Trouble]:
+def _one_side_trouble(link: LinkReport) -> Iterator[Trouble]:
     tally = link.tally
     whole, lacking = tally.transactions, tally.count(Outcome.NOT_CAPTURED)
     if lacking < ENOUGH or lacking < MOSTLY * whole or any(map(tally.count, RESPONDED)):
@@ -141,7 +154,7 @@ def _one_side(link: LinkReport) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _delayed(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
+def _delayed_polls_troubles(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
     by_unit: dict[int, list[PollStatistics]] = {}
     for one in link.polls:
         if one.poll.tally.latency.count >= ENOUGH:
@@ -164,8 +177,9 @@ def _delayed(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
 
 
 def _is_timer(poll: PollStatistics) -> bool:
-    """True if most answers come at the time of a delayed acknowledgement and hardly one later; some
-    come earlier, as something else is sent that acknowledges, too.
+    """True if the 20th and the 90th percentile of a poll's latencies are in one range of TIMERS_NS.
+
+    Some answers may come earlier: another segment that was sent carried the acknowledgement.
     """
     latency = poll.tally.latency
     low, high = latency.percentile(100 * (1 - MOSTLY)), latency.percentile(90)

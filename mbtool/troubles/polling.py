@@ -10,7 +10,7 @@ The figures of the account (ledger/account.py) show them; single transactions ar
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import nlargest
 from typing import TYPE_CHECKING
@@ -20,31 +20,35 @@ from mbtool.ledger.poll_statistics import LONG_NS, PollStatistics
 from mbtool.troubles.trouble import Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.cases import Cases
 
 LATE_NS = 100_000_000
+"""The least latency (ns) of an answer that is counted in POLL-LATE; see LATE_TIMES."""
 LATE_TIMES = 20
-"""An answer is late if it takes at least LATE_NS (ns), and this many times the median of its
-poll."""
+"""An answer is counted in POLL-LATE if it takes at least LATE_NS (ns), and at least this many times
+the median latency of its poll."""
 ENOUGH_ANSWERS = 20
-"""Polls with fewer answers than this have no late answers, as their usual latency is not known."""
+"""POLL-LATE is not judged for polls with fewer answers than this, as their usual latency is not
+known."""
 PAUSE_NS = LONG_NS
 PAUSE_TIMES = 10
 """The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
 for this many of its periods."""
 ENOUGH_PERIODS = 20
+"""Pauses are looked for only in polls with at least this many measured periods."""
 _TRIED = 50
-"""Only among so many of the most frequent polls of a master a regular one is looked for."""
+"""A poll with a regular period is looked for among at most this many polls of a master, those with
+the most periods."""
 REQUESTS_PER_CONNECTION = 3
-"""A link has a TCP connection for each poll if its connections carry at most so many requests in
+"""A link has a TCP connection for each poll if its connections carry at most this many requests in
 the mean, and are at least ENOUGH_CONNECTIONS."""
 ENOUGH_CONNECTIONS = 20
+"""A link with fewer opened connections than this is not said to have one for each poll."""
 _HANDSHAKE_S = 0.001
-"""The time that opening a connection takes, for the comparison with pauses and late answers."""
+"""The time (s) that opening a connection is assumed to take. Opened connections times this is the
+lost time by which the trouble is ranked among pauses and late answers."""
 _MS = 1_000_000
 
 
@@ -115,8 +119,11 @@ def polling_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trou
     connections = {(link.name, master): one for link in links for master, one in link.connections}
     requests = {link.name: link.tally.requests for link in links}
     yield from map(_paused, pauses(polls))
-    yield from map(_short, short_connections(connections, polls, lambda link: requests[link]))
-    yield from (_late(one, cases) for one in late_units(polls))
+    yield from map(
+        _short_connections_trouble,
+        short_connections(connections, polls, lambda link: requests[link]),
+    )
+    yield from (_late_answers_trouble(one, cases) for one in late_units(polls))
 
 
 def _paused(one: PollingPause) -> Trouble:
@@ -134,7 +141,7 @@ def _paused(one: PollingPause) -> Trouble:
     )  # fmt: skip
 
 
-def _short(one: ShortConnections) -> Trouble:
+def _short_connections_trouble(one: ShortConnections) -> Trouble:
     figures = {"opened": f"{one.opened:,}", "requests": counted(one.requests, "request", ",")}
     return Trouble(
         code="NET-SHORT", link=one.link, master=one.master or "masters", count=one.opened,
@@ -142,7 +149,7 @@ def _short(one: ShortConnections) -> Trouble:
     )  # fmt: skip
 
 
-def _late(one: LateUnit, cases: Cases) -> Trouble:
+def _late_answers_trouble(one: LateUnit, cases: Cases) -> Trouble:
     longest = duration(one.longest_ns)
     figures = {
         "late": counted(one.number, "answer", ","),
@@ -205,11 +212,11 @@ def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
         number = latency.count_at_least(late_ns)
         one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns, (poll,))
         other = found.get(unit)
-        found[unit] = one if other is None else _with(other, one)
+        found[unit] = one if other is None else _joined_polls(other, one)
     return [*found.values()]
 
 
-def _with(one: LateUnit, other: LateUnit) -> LateUnit:
+def _joined_polls(one: LateUnit, other: LateUnit) -> LateUnit:
     """Return the late answers of two polls of a unit as one; the one with more tells the usual."""
     first = max(one, other, key=lambda each: each.number)
     return replace(

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.trouble import Trouble
 
 HOLD_NS = 6_000_000_000
-"""Longer than a decoder waits for the response to a request of a serial line (ns)."""
+"""A record waits until one comes that began at least this long (ns) after it. Decoders wait less
+than this for the response to a request on a serial line."""
 MAX_HELD = 2000
+"""At most this many records wait; beyond it, the oldest one is taken at once."""
 MAX_LINKS = 1024
-"""A sense knows at most so many links."""
+"""A sense keeps figures of at most this many links; it ignores further ones."""
 
 DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
-"""The events about bytes of a serial line that are no right frame."""
+"""The kinds of events for bytes on a serial line that are no frame with a correct CRC or LRC."""
 
 
 class Sense:
@@ -41,7 +42,7 @@ class Sense:
     def event(self, event: WireEvent) -> None:
         """Take the next event."""
 
-    def run(self, run: AnsweredRun) -> None:
+    def run(self, run: QuietRun) -> None:
         """Take many answered requests of a network together. By default, nothing is to be seen in
         them.
         """

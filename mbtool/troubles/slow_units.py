@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mbtool.ledger.distribution import Distribution
 
 K = TypeVar("K")
@@ -25,12 +24,15 @@ ENOUGH_ANSWERS = 5
 """Units with fewer responses than this are ignored, as their median latency is not reliable."""
 
 _MANY = 3
+"""Slow units are probably another kind of device, not faulty, if there are at least this many and
+they are more than the share _FEW of all."""
 _FEW = 0.25
+"""The share (0 to 1) of all units that slow ones must exceed; see _MANY."""
 
 
 def are_many(slow: int, units: int) -> bool:
-    """True if `slow` of `units` are so many that they are probably another kind of device and not
-    faulty: at least 3, and more than 25 %.
+    """True if `slow` of `units` are at least 3 and more than 25 %: then they are probably another
+    kind of device, and not faulty.
     """
     return slow >= _MANY and slow > units * _FEW
 

@@ -11,18 +11,20 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from mbtool.core import WireEvent
 from mbtool.core.moments import clock_time, counted, day
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.troubles.words import WORDS, Words
 
 if TYPE_CHECKING:
-    from mbtool.core import WireEvent
     from mbtool.modbus.transaction import Transaction
 
 MAX_EVIDENCE = 100
-"""A trouble keeps at most so many cases; its `count` counts all of them."""
+"""A trouble keeps at most this many cases as evidence; its `count` counts all cases."""
 MAX_OTHERS = 1000
+"""A trouble that stands for several units, links or masters keeps at most this many of the
+others."""
 
 
 class Sureness(StrEnum):
@@ -79,7 +81,7 @@ class Trouble:
     master: str = ""
     """The master's host, where the trouble is a master's; empty on a serial line."""
     count: int = 1
-    """How many requests, frames or connections have the trouble."""
+    """The number of requests, frames or connections that have the trouble."""
     of: int = 0
     """Out of how many in the same time; 0 if there is nothing to compare with."""
     since_ns: int | None = None
@@ -89,7 +91,8 @@ class Trouble:
     is_long: bool = False
     """True if the recording takes a day or longer, so that times need a date."""
     is_small: bool = False
-    """True if so few are concerned that it is a note, whatever the code's severity is."""
+    """True if the trouble is shown as a note, whatever the code's severity: few requests are
+    concerned."""
     figures: Mapping[str, str] = field(default_factory=dict)
     """The texts for the names in the templates of the code's words."""
     weight: float = 0.0
@@ -100,7 +103,7 @@ class Trouble:
     search: str = ""
     """The filter that finds the cases in the table of a report; empty for the link's or unit's."""
     others: tuple[Trouble, ...] = ()
-    """The same trouble of other units, links or masters, the worst first."""
+    """The troubles with the same code of other units, links or masters, the worst first."""
     victims: tuple[int, ...] = ()
     """The units whose troubles this one explains, if they are others than `unit`."""
     names_link: bool = False
@@ -109,7 +112,7 @@ class Trouble:
     @property
     def words(self) -> Words:
         """Return the code's row of words.py; for a broken rule a row made of the rule."""
-        return WORDS.get(self.code) or _of_rule(self.code)
+        return WORDS.get(self.code) or _words_of_rule(self.code)
 
     @property
     def severity(self) -> Severity:
@@ -201,7 +204,7 @@ def moment_text(ns: int, *, is_long: bool) -> str:
     return f"{day(ns)} {clock_time(ns)[:5]}" if is_long else clock_time(ns)[:8]
 
 
-def _of_rule(code: str) -> Words:
+def _words_of_rule(code: str) -> Words:
     """Return the words of a broken rule of `check` (devices/checking/rules.py)."""
     rule = rule_of(code)
     meaning = "a rule that this version does not know" if rule is None else rule.meaning.rstrip(".")

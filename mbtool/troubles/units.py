@@ -1,19 +1,19 @@
 """Finds the troubles of units: silent, missing, damaged, malformed, refused and slow answers."""
 
 # failed_shares.py computes which share of the requests failed in which time, and if this share is
-# small; slow_units.py and slower_units.py decide which latency is slow. A unit that never answers
+# small; slow_units.py and `slower_units` decide which latency is slow. A unit that never answers
 # has no other trouble. If a unit refuses a request each time, the trouble has no beginning.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from mbtool.core.moments import DAY_NS, counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
+from mbtool.ledger.statistics_report import LinkReport, unit_polls, unit_tallies, unit_times
 from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
@@ -29,10 +29,7 @@ from mbtool.troubles.slow_units import ENOUGH_ANSWERS, GRAVE_NS, are_many, slow_
 from mbtool.troubles.trouble import Trouble, moment_text
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-
     from mbtool.ledger.distribution import Distribution
-    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.ledger.time_bins import UnitBin
     from mbtool.troubles.cases import Cases
 
@@ -45,9 +42,10 @@ MANY_REFUSING = 4
 """If at least this many units, and half of all, refuse requests, one trouble reports all: the
 requests are wrong, not the units."""
 SCAN = 20
-"""At least so many different requests, few of them sent twice, are called a scan."""
+"""Refused requests are called a scan if at least this many of them are different, and ONCE."""
 ONCE = 0.9
-"""A scan sends at least this share (0 to 1) of its requests once."""
+"""Refused requests are called a scan only if the number of different ones is at least this share
+(0 to 1) of all: nearly none was sent twice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +112,7 @@ SLOWER = 2
 """A unit has become slower if its mean latency in the last quarter of its bins of time is at least
 this many times that in the first half, and at least SLOWER_NS more."""
 SLOWER_NS = 10_000_000
+"""The least rise (ns) of the mean latency of a unit that became slower; see SLOWER."""
 _ENOUGH_BINS = 8
 """A unit with answers in fewer bins than this is never said to have become slower."""
 
@@ -190,7 +189,7 @@ def _mean(bins: Sequence[UnitBin]) -> float:
 
 
 _NAMED = 2
-"""At most so many requests that a unit always refuses are named."""
+"""A text names the requests that a unit always refuses if there are at most this many."""
 _SEARCH = {
     "UNIT-SILENT": "no-answer",
     "UNIT-BAD-CRC": "no-answer",
@@ -198,6 +197,7 @@ _SEARCH = {
     "UNIT-MALFORMED": "malformed",
     "UNIT-REFUSES": "exception",
 }
+"""By code, the search in the report's table that shows the trouble's requests."""
 _CHECK_LINE = "check its power, address, wires and line settings"
 _CHECK_NETWORK = "check that it runs, and that address, unit and gateway are right"
 _LOOK_LINE = "check its cable, and if the master's time-out is long enough"
@@ -316,13 +316,13 @@ def _refusal(unit: _JudgedUnit) -> Trouble | None:
     if refused:
         # The trouble has no beginning if the unit refuses the request each time.
         share = share._replace(since_ns=None, until_ns=None)
-        requests, part = _named(refused, unit), ""
+        requests, part = _refused_text(refused, unit), ""
     codes, advice = _codes(unit.tally)
     figures = {"requests": requests, "part": part, "codes": codes, "advice": advice}
     return unit.trouble("UNIT-REFUSES", share, **figures)
 
 
-def _named(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
+def _refused_text(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
     """Return which requests a unit refuses each time: `03 holding 4 each time (3 times)`."""
     number = unit.tally.count(Outcome.EXCEPTION)
     often = sorted(refused, key=lambda poll: -poll.tally.transactions)

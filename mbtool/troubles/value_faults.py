@@ -34,6 +34,7 @@ Registers that a master writes, and ambiguous frames, are left out.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,73 +46,105 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.devices.assignment import Assignments
-    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.devices.checking.quiet_run import QuietRun
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.modbus.tables import Table
     from mbtool.values.followed_values import FollowedValue
     from mbtool.values.movements import Move, Movements, Occurrence
 
 MAX_POLLS = 512
+"""At most this many polls of all units together are followed."""
 MAX_WRITTEN = 4096
+"""At most this many written registers are remembered; a unit with a further one has no trouble of
+values."""
 BATCH = 8192
-"""So many words of a poll are kept before they are added to its figures, and LEARNT answers."""
+"""A poll's words wait in a list. They are added to the poll's figures once there are at least this
+many, and answers of at least LEARNT requests."""
 LEARN = 48
-"""With fewer answers than this, it is not known how numbers move."""
+"""The least number of answers from which the types of a poll's values are judged. A poll with fewer
+has no trouble."""
 LEARNT = 4 * LEARN
-"""After so many answers, the types of values are judged no more."""
+"""The types of a poll's values are judged again after LEARN, 2 * LEARN and 4 * LEARN answers, and
+not after this number of answers."""
 MOST_ROWS = 64
-"""At most so many answers are looked at for it."""
+"""The types of values are judged from at most this many of a poll's answers, evenly chosen among
+all."""
 MAX_JUDGED = 1500
-"""The types of so many registers that move are judged (3 ms each); others are not followed."""
+"""The types of values are judged for at most this many registers in all, counting only those that
+change (judging one takes 3 ms). Polls beyond it are not followed."""
 LONG_NS = 86_400_000_000_000
+"""The times of a trouble are shown with a date if the answers of its poll span at least this time
+(ns, one day)."""
 
 MOVES = 20
-"""A number that changed less often than this has no norm."""
+"""The least number of changes of a value in the capture. A value with fewer has no trouble that
+compares it with its usual behaviour."""
 LEVELS = 8
-"""A number with fewer different values may be a state."""
-REST_ROWS, REST_TIMES, REST_USUAL = 40, 5, 25
-"""A number is stuck if it stays for so many answers, so many times longer than at any other time,
-and for so many times its mean time between two changes."""
+"""The least number of different values (its range divided by its smallest step). A value with fewer
+may be a state, and is never called stuck, jumped or without a value."""
+REST_ROWS = 40
+"""A value is called stuck only if it stayed the same for at least this many answers in a row."""
+REST_TIMES = 5
+"""A value is called stuck only if its longest rest (answers in a row with the same value) is at
+least this many times its second longest one."""
+REST_USUAL = 25
+"""A value is called stuck only if its longest rest is at least this many times as long as its mean
+time between two changes outside of that rest."""
 OTHERS_SHARE = 0.5
-"""The others must change at least at this share of their usual rate meanwhile."""
+"""A value is called stuck only if the other values of the same answers changed during its rest at
+least at this share (0 to 1) of the rate at which they change otherwise."""
 ROUND = 100
+"""A value that rests at a multiple of this number (0 included) is never called stuck."""
 JUMP = 20
-"""A jump is so many times the largest of the usual steps."""
+"""Steps of a value are jumps if each is at least this many times as large as the largest of its
+other steps."""
 MOST_JUMPS = 6
+"""At most this many of a value's largest steps are taken for jumps; with more, it has none."""
 RETURN_ROWS = 3
-"""A number returns from a jump within so many answers."""
+"""A value has returned from a jump only if the step back comes at most this many answers after the
+jump."""
 RETURN_SHARE = 0.2
+"""A value has returned from a jump only if it is then at most this share (0 to 1) of the jump's
+size away from where it was before."""
 WAY = 4
-"""A number that moves slowly goes over a range of so many of its largest usual steps."""
+"""A single jump without a return is reported only if the value's range, less the jump, is at least
+this many of its largest other steps: then the value moves over a long way in small steps."""
 BESIDE = 3
+"""A step of another value is a jump, too, if it is more than this many times as large as that
+value's third largest step. If another value jumps at the same time, no jump is reported."""
 MOST_BESIDE = 2
-"""Another number jumps too if its step at that time is so many times larger than all of its steps
-but MOST_BESIDE."""
+"""Another value with more steps than this is judged by BESIDE, one with fewer by SELDOM."""
 SELDOM = 50
-"""A number that changes once or twice jumps too if it changes in less than one of so many
-answers."""
+"""A step of a value with at most MOST_BESIDE steps counts as a jump, too, if the value has at least
+this many answers for each of its steps."""
 FAR = 2
-"""A word is no number if it is so many times the range of the others away from them."""
+"""A number that devices send instead of a value (such as FFFFH) is reported if its distance from
+the value's other numbers is more than this many times their range."""
 BACK_STEPS = 5
-"""A counter runs backwards if it falls by so many of its mean steps."""
+"""A fall of a counter is reported as VALUE-BACKWARDS if it is at least this many times as large as
+the counter's mean step."""
 BACK_SHARE = 0.1
-"""It may run backwards for this share of the answers."""
+"""A share (0 to 1), used three times. A value is no counter if it falls more often than this share
+of its rises, or if it falls three times or more and these falls extend over more than this share of
+the answers. A fall to at most this share of the number before is VALUE-RESET."""
 _MODULI = (
     12, 24, 60, 100, 256, 360, 1000, 1440, 3600, 4096, 10_000, 32_768, 43_200,
     65_536, 86_400, 100_000, 1_000_000, 10_000_000, 16_777_216, 99_999_999, 100_000_000,
     1_000_000_000, 1 << 31, 1 << 32,
 )  # fmt: skip
-"""Behind the last number below one of these, a counter goes on at 0."""
+"""A fall is no fault if a counter passed the greatest number below one of these and went on from 0,
+as from 59 to 0 with 60."""
 
 
 _CODES = (
     "VALUE-NOT-VALID", "VALUE-NONE", "VALUE-RANGE", "VALUE-RESET", "VALUE-BACKWARDS",
     "VALUE-JUMPED", "VALUE-STUCK",
 )  # fmt: skip
+"""The codes, the most important first: only the first of several faults of one register is
+reported."""
 
 
 class _Key(NamedTuple):
@@ -248,22 +281,32 @@ class ValueFaults(Sense):
             poll.words.extend(values)
             self._take(key, poll)
 
-    def reads(self, reads: Sequence[AnsweredReads]) -> None:
+    def run(self, run: QuietRun) -> None:
+        rows = run.rows
+        for place in [place for place, code in enumerate(rows.exceptions) if code >= 0]:
+            asked, (link, _, _) = rows.asked[place], rows.ends[place]
+            function, address = FUNCTIONS[asked >> 32 & 0xFF], asked >> 16 & 0xFFFF
+            table = function.table if function.writes else None
+            if table is not None and not table.is_bits:
+                span = range(address, address + (asked & 0xFFFF))
+                self._note_write(link, asked >> 40, table, span)
+
+    def reads(self, reads: AnsweredValues) -> None:
         """Take many answered reads and writes of slaves without profiles together."""
-        for one in reads:
-            function = FUNCTIONS[one.function]
+        for index, asked in enumerate(reads.asked):
+            link, unit, code, address, quantity = asked
+            function = FUNCTIONS[code]
             if function.table is None or function.table.is_bits:
                 continue
             if function.writes:
-                span = range(one.address, one.address + one.quantity)
-                self._note_write(one.link, one.unit, function.table, span)
+                self._note_write(link, unit, function.table, range(address, address + quantity))
                 continue
-            key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
+            key = _Key._make(asked)  # Faster than calling _Key.
             poll = self._polls.get(key)
-            if poll is None:
-                if len(self._polls) >= MAX_POLLS:
-                    continue
-                poll = self._new_poll(key, one.request_ns[0])
+            if poll is None and len(self._polls) >= MAX_POLLS:
+                continue
+            one = reads[index]
+            poll = poll or self._new_poll(key, one.request_ns[0])
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())
@@ -279,11 +322,11 @@ class ValueFaults(Sense):
         """Return the answers to a request that was answered for the first time, at `at_ns`."""
         poll = _FollowedAnswers()
         if len(self._polls) < MAX_POLLS:
-            poll = self._polls[key] = self._after_norm(key, at_ns) or poll
+            poll = self._polls[key] = self._continued_norm(key, at_ns) or poll
         poll.is_left_out |= not 0 < key.quantity <= 2000
         return poll
 
-    def _after_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
+    def _continued_norm(self, key: _Key, at_ns: int) -> _FollowedAnswers | None:
         """Return a copy of the baseline's answers to a request; None if there is none.
 
         The name of a serial line is that of a port or file, so each serial line of the baseline
@@ -400,7 +443,9 @@ class ValueFaults(Sense):
             cases = [
                 (table, movements, case._replace(of=max(case.of - poll.norm_rows, 0)))
                 for table, movements, poll in own
-                for case in _cases(movements, [one for _, one, _ in own if one is not movements])
+                for case in _value_cases(
+                    movements, [one for _, one, _ in own if one is not movements]
+                )
                 if poll.norm_ns is None or not poll.norm_ns[0] <= case.at_ns <= poll.norm_ns[1]
             ]
             # Report one fault for each register. Several polls may show the same one.
@@ -430,7 +475,7 @@ def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case
     movements, first = cases[0]
     evidence: list[Evidence] = []
     for _, one in cases:
-        keep(evidence, Evidence(ts_ns=one.at_ns, text=_text(one)))
+        keep(evidence, Evidence(ts_ns=one.at_ns, text=_case_text(one)))
     more = len(cases) - 1
     return Trouble(
         code=code, link=link, unit=unit, count=sum(one.answers for _, one in cases), of=first.of,
@@ -446,30 +491,30 @@ def _trouble(link: str, unit: int, code: str, cases: list[tuple[Movements, _Case
     )  # fmt: skip
 
 
-def _text(case: _Case) -> str:
+def _case_text(case: _Case) -> str:
     figures = case.figures
     if "before" in figures:
         return f"{case.value.name}: {figures['before']} to {figures['after']}"
     return f"{case.value.name}: {figures.get('number', figures.get('text', ''))}"
 
 
-def _cases(movements: Movements, beside: Sequence[Movements]) -> Iterator[_Case]:
+def _value_cases(movements: Movements, beside: Sequence[Movements]) -> Iterator[_Case]:
     """Yield the faults of the values of a poll; `beside` has the other polls of the unit."""
     for place, value in enumerate(movements.values):
         unset = movements.unset(place)
         if unset is not None and _is_no_number(movements, place, unset):
-            yield _no_value(movements, value, unset)
+            yield _no_value_case(movements, value, unset)
         outside = movements.outside(place)
         if outside is not None:
             yield _Case(
                 "VALUE-RANGE", value, outside.at_ns,
-                {"number": value.shown(outside.number), "range": _range(value)},
+                {"number": value.shown(outside.number), "range": _range_text(value)},
                 outside.answers, movements.rows,
             )  # fmt: skip
         if outside is None and not value.is_state and movements.changes[place] >= MOVES:
-            fault = _fallen(movements, place)
+            fault = _fall_case(movements, place)
             if fault is None and _levels(movements, place) >= LEVELS:
-                fault = _jumped(movements, place) or _stuck(movements, place, beside)
+                fault = _jump_case(movements, place) or _stuck_case(movements, place, beside)
             if fault is not None:
                 yield fault
     for value, text, seen in movements.not_valid():
@@ -497,7 +542,7 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
     return away >= JUMP * movements.steps(place)[2].size
 
 
-def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
+def _no_value_case(movements: Movements, value: FollowedValue, unset: Occurrence) -> _Case:
     bits = 16 * value.reading.words
     is_whole = unset.number == unset.number and abs(unset.number) != float("inf")
     word = f"{int(unset.number) % (1 << bits):0{bits // 4}X}H" if is_whole else "no number"
@@ -508,7 +553,7 @@ def _no_value(movements: Movements, value: FollowedValue, unset: Occurrence) -> 
     )  # fmt: skip
 
 
-def _range(value: FollowedValue) -> str:
+def _range_text(value: FollowedValue) -> str:
     low = "" if value.minimum is None else f"{value.minimum:g}"
     high = "" if value.maximum is None else f"{value.maximum:g}"
     if low and high:
@@ -516,7 +561,7 @@ def _range(value: FollowedValue) -> str:
     return f"at least {low}" if low else f"at most {high}"
 
 
-def _fallen(movements: Movements, place: int) -> _Case | None:
+def _fall_case(movements: Movements, place: int) -> _Case | None:
     """Return the fault of a number that otherwise only rises."""
     value = movements.values[place]
     rises = int(movements.rises[place])
@@ -567,10 +612,10 @@ def _jumps(movements: Movements, place: int) -> tuple[list[Move], float]:
 
 def _has_returned(movements: Movements, place: int) -> bool:
     jumps, _ = _jumps(movements, place)
-    return bool(jumps) and _return(jumps)
+    return bool(jumps) and _do_return(jumps)
 
 
-def _jumped(movements: Movements, place: int) -> _Case | None:
+def _jump_case(movements: Movements, place: int) -> _Case | None:
     value = movements.values[place]
     jumps, usual = _jumps(movements, place)
     if not jumps:
@@ -580,7 +625,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     if any(_goes_on_at_zero(value, one, mean) for one in jumps):
         return None
     is_slow = len(jumps) == 1 and _is_slow(movements, place, jump.size, usual)
-    if not (_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
+    if not (_do_return(jumps) or is_slow) or _jumps_beside(movements, place, jumps):
         return None
     return _Case(
         "VALUE-JUMPED", value, jump.at_ns,
@@ -593,7 +638,7 @@ def _jumped(movements: Movements, place: int) -> _Case | None:
     )  # fmt: skip
 
 
-def _return(jumps: Sequence[Move]) -> bool:
+def _do_return(jumps: Sequence[Move]) -> bool:
     """True if a number returns from each jump."""
     return len(jumps) % 2 == 0 and all(
         back.row - away.row <= RETURN_ROWS
@@ -622,7 +667,7 @@ def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bo
     return False
 
 
-def _stuck(movements: Movements, place: int, beside: Sequence[Movements]) -> _Case | None:
+def _stuck_case(movements: Movements, place: int, beside: Sequence[Movements]) -> _Case | None:
     value = movements.values[place]
     rest, second = movements.rests(place)
     changes = int(movements.changes[place])

@@ -19,14 +19,14 @@ class Words:
     code: str
     severity: Severity
     cause: str
-    """What is wrong, as a clause; a template."""
+    """A clause that says what is wrong; names in braces are replaced by figures."""
     remedy: str
-    """What to do, in the imperative; a template."""
+    """An imperative that says what to do; names in braces are replaced by figures."""
     noun: str = "unit"
-    """What several troubles of the kind are counted by: unit, link, master."""
+    """The noun by which several troubles with this code are counted: unit, link, master."""
     short: str = ""
-    """What is wrong in a few words, for the row of a unit or link; a template. Empty for the
-    code."""
+    """What is wrong in a few words, for the row of a unit or link, with names in braces as in
+    `cause`. If it is empty, the row shows the code."""
     explains: tuple[str, ...] = ()
     """The codes of broken rules and other troubles that this trouble causes; they are not
     reported."""
@@ -35,7 +35,9 @@ class Words:
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 _BLAMED = ("UNIT-SILENT", "UNIT-MISSING")
+"""Troubles of units that a trouble of their line may cause: answers that did not come."""
 _DAMAGED = ("UNIT-BAD-CRC", "LINE-STRAY")
+"""Troubles for damaged frames, which a trouble of the line may cause."""
 
 _ROWS = (
     # The serial line.

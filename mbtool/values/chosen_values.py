@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.references import write_reference
@@ -19,13 +20,13 @@ from mbtool.values.value_series import ValueSeries
 from mbtool.values.values import SeriesKey
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.modbus.tables import Table
 
 MAX_CHOSEN = 64
+"""The most series that are kept."""
 MAX_SAMPLES = 20_000
+"""The most samples of a series; beyond it, some are dropped."""
 
 
 class NamedAddresses(NamedTuple):

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
@@ -32,12 +33,12 @@ from mbtool.values.reasons import ValueRole
 from mbtool.values.value_series import histories_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
 MAX_POINTS = 1000
+"""The most points of a drafted profile; a comment gives the number of the remaining registers."""
 MAX_LISTED = 24
+"""A comment lists at most this many addresses or ranges."""
 
 _NO_FUNCTION = ExceptionCode.ILLEGAL_FUNCTION
 _WRONG_VALUE = ExceptionCode.ILLEGAL_DATA_VALUE
@@ -73,7 +74,7 @@ def draft_profile(
         title=_title(seen),
         vendor=seen.identity.get("vendor") or "unknown",
         transports=sorted(seen.transports),
-        source=f"traffic of {_who(seen)} in {file}",
+        source=f"traffic of {_slave_text(seen)} in {file}",
         areas=areas,
         functions=functions,
         exceptions=Exceptions(documented=sorted({*map(int, _REFUSALS), *_exceptions(seen)})),
@@ -87,17 +88,17 @@ def draft_profile(
 
 def _title(seen: ObservedSlave) -> str:
     names = ("product", "model", "product code")
-    return next((seen.identity[one] for one in names if seen.identity.get(one)), _who(seen))
+    return next((seen.identity[one] for one in names if seen.identity.get(one)), _slave_text(seen))
 
 
-def _who(seen: ObservedSlave) -> str:
+def _slave_text(seen: ObservedSlave) -> str:
     at = f" at {seen.who.host}" if seen.who.host is not None else ""
     return f"unit {seen.unit}{at}"
 
 
 def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
     head = [
-        f"Drafted by mbtool from what {_who(seen)} was asked and answered in {file}, "
+        f"Drafted by mbtool from what {_slave_text(seen)} was asked and answered in {file}, "
         f"{counted(seen.transactions, 'transaction')}. It knows no more than that: an address or "
         "a function that nobody asked for is missing here. Types of registers are guesses, with "
         "the reason above each; give the points their names, and correct what the manual says "

@@ -27,35 +27,33 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import nlargest
 from itertools import pairwise, product
 from operator import itemgetter
 from statistics import median, pstdev
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import Table
 from mbtool.values.judging import Judged, WordHistory, judge
 from mbtool.values.word_readings import Order, WordReading, numbers_in
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-
 MOST_SHOWN = 100
-"""At most this many places are returned for a number."""
+"""At most this many places are returned for each wanted number."""
 LIKELY = 0.5
-"""A place is the answer if it is at least as likely as this."""
+"""A place is shown as the answer if its probability (0 to 1) is at least this."""
 NOWHERE = 1e-5
-"""The greatest probability (0 to 1) of seeing a number that is in no register."""
+"""The greatest probability (0 to 1) of a sighting if the number is in no register."""
 _NOWHERE_OF_ITS_SIZE = 0.01
-"""That probability for each unit of the relative tolerance, as a number of many digits seldom
-equals a register by chance."""
+"""The probability of a sighting if the number is in no register is at most this times the relative
+tolerance of the number: a number of many digits seldom equals a register by chance."""
 _UNJUDGED = 0.02
-"""The prior probability of an idea that judging.py does not favour."""
+"""The probability (0 to 1), before any sighting, of a type and place that judging.py does not
+favour."""
 _FLOAT_SCALES = {0: 0.9, -3: 0.04, 3: 0.04, -2: 0.01, 2: 0.01}
+"""The share (0 to 1) of floats in registers that have this scale, by its power of ten."""
 _WHOLE_SCALES = {
     0: 0.32,
     -1: 0.3,
@@ -67,24 +65,37 @@ _WHOLE_SCALES = {
     2: 0.01,
     3: 0.015,
 }
-"""By power of ten: how frequent a scale of whole numbers is."""
+"""The share (0 to 1) of whole numbers in registers that have this scale, by its power of ten."""
 _FACTORS = {power: float(f"1e{-power}") for power in (0, -1, -2, -3, -4, -6, 1, 2, 3)}
 _UNSEEN_DIGIT = 1.4
-"""A register with a digit more than the display shows is less probable by exp of this."""
+"""Each decimal digit that a register has more than the display shows divides the probability by e
+to the power of this."""
 _DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
-"""By this share of itself, a value may differ a little before the recording, or after it."""
+"""The share (0 to 1) of a register's value by which it may differ before or after the recording: of
+one that changed in the recording, and of one that did not. It is added to three times the
+spread."""
 _BETWEEN = 1e-3
-"""The factor for a number that is between two whole numbers of a register, as it cannot show it."""
+"""The factor (0 to 1) on the probability of a register that has whole numbers, if the number seen
+is between two of them."""
 _REACH = 8
+"""A register is tried for a number if the number is at most this many times its tolerance, and this
+many times the drift, outside of the register's values."""
 _NEGLIGIBLE = 1e-9
+"""A place is dropped if its probability is less than this share (0 to 1) of NOWHERE, or of the best
+place."""
 _MOST_IDEAS = 200
-"""So many ideas of each number are balanced with those of the others."""
+"""For each wanted number, at most this many places are kept, the most probable ones."""
 _ROUNDS = 12
+"""The number of rounds in which the places of several numbers are weighed against each other."""
 _STRIDE_ROUNDS = 3
+"""The number of rounds in which equal distances between the places of several numbers make these
+places more probable."""
 _OUTSIDE = 0.45
-"""The factor (0 to 1) for registers that never had the number in the recording."""
+"""The factor (0 to 1) on the probability of a register that never had the number in the
+recording."""
 _MOST_STRIDES = 12
-"""So many places of each number are looked at for equal distances."""
+"""Equal distances are looked for among at most this many places of each number, the most probable
+ones."""
 
 
 class Sighting(NamedTuple):
@@ -154,7 +165,8 @@ class _Idea(NamedTuple):
     step: float
     """The usual change from one row to the next."""
     drift: float
-    """How far the value may be from those of the recording, a little before it or after it."""
+    """The distance that the value may have from those of the recording, shortly before or after
+    it."""
     middle: float
     reach: float
     """No value that is farther from the middle than this is looked at."""
@@ -168,8 +180,8 @@ _Shares = dict[_Key, float]
 def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[FoundPlace]]:
     """Return the places of each wanted number, the most probable first."""
     ideas = [idea for slave in slaves for idea in _ideas(slave)]
-    scores = [_scores(one, ideas) for one in wanted]
-    nowhere = [_nowhere(one) for one in wanted]
+    scores = [_place_scores(one, ideas) for one in wanted]
+    nowhere = [_probability_if_absent(one) for one in wanted]
     for _ in range(_STRIDE_ROUNDS if len(wanted) > 2 else 0):
         scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
     shares = _balanced(scores, nowhere, ideas)
@@ -209,7 +221,7 @@ def _place(one: Wanted, idea: _Idea, power: int, share: float) -> FoundPlace:
     )
 
 
-def _nowhere(one: Wanted) -> float:
+def _probability_if_absent(one: Wanted) -> float:
     """The probability (0 to 1) of what was seen if it is in no register."""
     finest = min(
         (seen.tolerance / abs(seen.value) for seen in one.sightings if seen.value), default=1.0
@@ -217,7 +229,7 @@ def _nowhere(one: Wanted) -> float:
     return max(min(NOWHERE, _NOWHERE_OF_ITS_SIZE * finest), NOWHERE * _NEGLIGIBLE)
 
 
-def _scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
+def _place_scores(one: Wanted, ideas: Sequence[_Idea]) -> _Shares:
     """How probable each idea makes what was seen, times how probable the idea is by itself."""
     finest = min(seen.tolerance for seen in one.sightings)
     found: _Shares = {}
@@ -396,11 +408,11 @@ def _probability(seen: Sighting, idea: _Idea) -> float:
     The number that was seen is in the unit of the registers.
     """
     if seen.at_ns is None:
-        return _of_history(seen.value, seen.tolerance, idea)
-    return _at_a_time(seen.value, seen.tolerance, idea, seen.at_ns)
+        return _probability_in_history(seen.value, seen.tolerance, idea)
+    return _probability_at_time(seen.value, seen.tolerance, idea, seen.at_ns)
 
 
-def _of_history(value: float, tolerance: float, idea: _Idea) -> float:
+def _probability_in_history(value: float, tolerance: float, idea: _Idea) -> float:
     """The probability of a value seen at some time during the recording, or near it."""
     beyond = max(idea.low - value, value - idea.high, 0.0)
     drift = idea.drift + tolerance
@@ -411,11 +423,11 @@ def _of_history(value: float, tolerance: float, idea: _Idea) -> float:
     return inside + outside
 
 
-def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float:
+def _probability_at_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float:
     """The probability of a value seen at a time."""
-    numbers = _around(idea, at_ns)
+    numbers = _numbers_around(idea, at_ns)
     if not numbers:
-        return _of_history(value, tolerance, idea) * 0.5
+        return _probability_in_history(value, tolerance, idea) * 0.5
     low, high = min(numbers), max(numbers)
     beyond = max(low - value, value - high, 0.0)
     if beyond <= tolerance * 1.001:
@@ -425,7 +437,7 @@ def _at_a_time(value: float, tolerance: float, idea: _Idea, at_ns: int) -> float
     return 0.3 * share * math.exp(-(beyond - tolerance) / drift)
 
 
-def _around(idea: _Idea, at_ns: int) -> Sequence[float]:
+def _numbers_around(idea: _Idea, at_ns: int) -> Sequence[float]:
     """The numbers right before and after a time."""
     exact = idea.slave.exact.get(at_ns, ())
     words = idea.reading.words
@@ -547,7 +559,7 @@ def find_changed(slaves: Sequence[WordsOfSlave], begin_ns: int, end_ns: int) -> 
             for at in range(one.first, one.stop)
         }
         for judged in judge(slave.histories):
-            before, after = _sides(slave, judged, begin_ns, end_ns)
+            before, after = _numbers_before_and_after(slave, judged, begin_ns, end_ns)
             if not before or not after or before[-1] == after[0] == after[-1]:
                 continue
             is_written = any(
@@ -571,11 +583,14 @@ def _setting_weight(before: Sequence[float], after: Sequence[float]) -> float:
 
 
 _WRITTEN = 20.0
-"""A setting that a master wrote is so much more probable."""
+"""The factor on the weight of a place that changed, if a master wrote it: writes are how settings
+change."""
 _SETTING_UNSEEN = 0.01
+"""The weight of the case that no register of the recording has the setting; the weights of all
+places and this one are scaled to 1."""
 
 
-def _sides(
+def _numbers_before_and_after(
     slave: WordsOfSlave, judged: Judged, begin_ns: int, end_ns: int
 ) -> tuple[list[float], list[float]]:
     """The numbers of a value before a time, and after another one."""

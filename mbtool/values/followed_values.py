@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import PointInstance
 from mbtool.values.guessed_series import guessed_name
 from mbtool.values.judging import WordHistory, judge
-from mbtool.values.word_readings import FORMATS, Order, WordReading
+from mbtool.values.word_readings import Order, WordReading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices.model import Point, Profile
     from mbtool.modbus.tables import Table
 
 _NOT_VALID = re.compile(
@@ -73,7 +71,7 @@ def values_of_profile(
         if point.table is not table or point.access is Access.WRITE:
             continue
         form = PointType.UINT16 if point.type in _STATES else point.type
-        if form not in FORMATS and not form.is_bcd:
+        if form.struct_code is None and not form.is_number:
             continue
         order = _ORDERS.get((point.word_order, point.byte_order), Order.ABCD)
         for first in point.addresses:

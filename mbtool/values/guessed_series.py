@@ -10,20 +10,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
 from mbtool.modbus.tables import Table
-from mbtool.values.judging import WordHistory, judge
+from mbtool.values.judging import Judged, WordHistory, judge
 from mbtool.values.value_series import ValueSeries
 from mbtool.values.values import RequestedSpan, SeriesKey
 from mbtool.values.word_readings import numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from mbtool.values.judging import Judged
 
 MARK = "?"
 """Stands behind a value whose type is guessed."""
@@ -157,10 +153,10 @@ def _series_of(
         return None
     for ts_ns, number in zip(history.times_ns, numbers, strict=True):
         if math.isfinite(number):
-            made.add(ts_ns, _shown(number, judged.reading.type))
+            made.add(ts_ns, _rounded_number(number, judged.reading.type))
     return SeriesKey(first.link, first.unit, name), made
 
 
-def _shown(number: float, type_: PointType) -> float:
+def _rounded_number(number: float, type_: PointType) -> float:
     """The number without digits that a 32-bit float does not have."""
     return float(f"{number:.7g}") if type_ is PointType.FLOAT32 else number

@@ -21,9 +21,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.functions import READ_LIMIT
@@ -50,9 +51,6 @@ from mbtool.values.segmentation import (
 )
 from mbtool.values.word_readings import Order, WordReading, numbers_in
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
 # Finds values whose type stays in doubt, however well the words of the registers fit it.
 #
 # The likelihoods of a division compare types that give different numbers. Some types cannot be
@@ -60,12 +58,19 @@ if TYPE_CHECKING:
 # register that is always 0 may be the low word of a longer number.
 
 IN_DOUBT = 0.9
-"""The likelihood of a type in doubt is at most this."""
+"""The likelihood (0 to 1) of a type for which the numbers give too little evidence is lowered to
+this."""
 _EVIDENT = 2
-"""So many numbers of two registers that are beyond doubt vouch for others of their order."""
+"""A whole number of two registers that is not certain by itself counts as certain if at least this
+many certain ones have the same word order and the same parity of address."""
 _LARGE_SPREAD = 4096
+"""A register whose values span at least this many may be the low half of a number of two
+registers."""
 _SMALL = 256
+"""A constant register with less than this, beside one of _LARGE_SPREAD, may be the high half of its
+number."""
 _FILLING = (0, 0xFFFF)
+"""The values of a high half whose number of two registers is small, positive or negative."""
 
 
 def doubtful(
@@ -133,24 +138,34 @@ def _is_constant(column: Sequence[int]) -> bool:
 
 
 SURE = 0.95
-"""A type at least as likely as this may be shown, even if the user does not ask for types."""
+"""A type whose likelihood (0 to 1) is at least this may be shown even if the user does not ask for
+types."""
 MOST_ROWS = 150
+"""The types of a range of registers are judged from at most this many answers, evenly chosen."""
 ROUNDS = 3
+"""The number of times that types are judged, each time with the shares of kinds and orders that the
+time before found in the device."""
 ACROSS_A_REQUEST = 12.0
-"""The cost in bits of a value in which another request begins or ends."""
+"""The cost in bits of a value at each place inside it where a request begins or ends."""
 ASKED_ALONE = 7.0
-"""How much cheaper, in bits, a value of several registers is if a request asks for just these."""
+"""The bits subtracted from the cost of a value of several registers if a request asks for exactly
+these."""
 CLOCK = 24.0
-"""The cost in bits of the seconds since 1970, by the recording's own time to within a day."""
+"""The cost in bits of a number that is the seconds since 1970, within a day of the recording's own
+time."""
 _FEWEST_DIGITS = 8
+"""BCD is in doubt (IN_DOUBT) if a value had fewer different numbers than this."""
 ASKED_SINGLY = 8.0
-"""The cost in bits of each register of a value that a request asks for by itself."""
+"""The cost in bits of a value for each of its registers that a request asks for alone."""
 COUNTS_FROM_BELOW = 6.0
-"""The cost in bits of a negative number that only counts up: it is rather a counter."""
+"""The cost in bits of a signed number that is negative and only rises: it is more probably an
+unsigned counter."""
 _ORDERS = {Order.ABCD: 0.45, Order.CDAB: 0.35, Order.BADC: 0.1, Order.DCBA: 0.1}
 _KNOWN_VALUES = 4.0
-"""The shares of kinds and orders that are usual count like so many values of the device."""
+"""The usual shares of kinds and orders (SHARES, _ORDERS) weigh as much as this many values of the
+device when both are averaged."""
 _NEVER_USED = (0x7FFF, 0x8000, 0xFFFF)
+"""Constants that devices often give for registers without a use; they cost 6 bits."""
 Key = TypeVar("Key", bound=StrEnum)
 
 
@@ -210,7 +225,7 @@ class _Range:
         self.division = Division([], [])
 
     def _candidates(self, at: int) -> Iterator[Candidate]:
-        options = list(self._words(at))
+        options = list(self._single_register_options(at))
         yield Candidate(at, 1, Kind.WORD, options, joined_cost(one.cost for one in options))
         yield from self._texts(at)
         for kind, types in _TYPES.items():
@@ -252,7 +267,7 @@ class _Range:
         """The places in the range at which some request begins or ends."""
         return {at for at, address in enumerate(self.span) if self._edges[address]}
 
-    def _words(self, at: int) -> Iterator[Option]:
+    def _single_register_options(self, at: int) -> Iterator[Option]:
         column = self.columns[at]
         if not self.moves[at]:
             yield Option(WordReading(PointType.UINT16), self._constant_cost(at, column[0]))

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -15,11 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mbtool.devices.point_types import PointType
-from mbtool.values.word_readings import FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.values.followed_values import FollowedValue
     from mbtool.values.word_readings import WordReading
 
@@ -28,13 +26,15 @@ Int64s = npt.NDArray[np.int64]
 K = TypeVar("K", int, tuple[int, str])
 
 STEPS = 8
-"""So many of the largest steps of each value are kept."""
+"""The number of largest steps that are kept of each value."""
 FALLS = 3
-"""So many of the first falls of each value are kept."""
+"""The number of first falls that are kept of each value."""
 PAUSE_TIMES = 10
-"""The polling paused if an answer comes so many times later than usual."""
+"""The polling paused if the time since the answer before is more than this many times the usual
+one; a change across a pause is no step."""
 _ROUNDING = 1e-6
-"""A value is outside of its range only if it is so by more than this share of the limit."""
+"""A value is outside of the range in its profile only if it exceeds a limit by more than this share
+(0 to 1) of the limit."""
 _NO_VALUES = {
     PointType.UINT16: (0xFFFF, 0x8000, 0x7FFF),
     PointType.HEX16: (0xFFFF, 0x8000, 0x7FFF),
@@ -63,12 +63,14 @@ class Rest(NamedTuple):
     end_ns: int | None
     """None if it has not changed until now."""
     others: int
-    """How often other values changed meanwhile."""
+    """The number of changes of other values during this rest."""
     value: float
 
 
 class Occurrence(NamedTuple):
-    """How often something was seen, and first when and as which number."""
+    """The number of answers with a certain number, the time of the first one (UTC ns), and the
+    number in it.
+    """
 
     answers: int
     at_ns: int
@@ -208,7 +210,7 @@ class Movements:
         if not is_lacking.any():
             return numbers
         for at in np.flatnonzero(is_unset.any(axis=0)).tolist():
-            _note(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
+            _note_occurrences(self._unset, int(places[at]), times, numbers[:, at], is_unset[:, at])
         rows = np.where(is_lacking, -1, np.arange(len(times))[:, None])
         rows = np.maximum.accumulate(rows)
         filled: Floats = np.take_along_axis(numbers, np.maximum(rows, 0), axis=0)
@@ -224,10 +226,10 @@ class Movements:
                     is_outside |= scaled < one.minimum - _ROUNDING * abs(one.minimum)
                 if one.maximum is not None:
                     is_outside |= scaled > one.maximum + _ROUNDING * abs(one.maximum)
-                _note(self._outside, place, times, own, is_outside)
+                _note_occurrences(self._outside, place, times, own, is_outside)
             for mask, bits, text in one.not_valid:
                 has = (np.nan_to_num(own).astype(np.int64) & mask) == bits
-                _note(self._not_valid, (place, text), times, own, has)
+                _note_occurrences(self._not_valid, (place, text), times, own, has)
 
     def _note_falls(
         self,
@@ -367,7 +369,7 @@ class Movements:
         return [(self.values[place], text, seen) for (place, text), seen in self._not_valid.items()]
 
 
-def _note(
+def _note_occurrences(
     seen: dict[K, Occurrence], key: K, times: Int64s, numbers: Floats, has: npt.NDArray[np.bool_]
 ) -> None:
     number = int(has.sum())
@@ -381,14 +383,12 @@ def _note(
 
 def _numbers_of(columns: npt.NDArray[np.uint16], reading: WordReading) -> Floats:
     """Return the numbers in some registers, one for each row; NaN for digits that are not BCD."""
-    form = FORMATS.get(reading.type)
     if reading.order.is_low_first:
         columns = columns[:, ::-1]
     raw = np.ascontiguousarray(columns.astype("<u2" if reading.order.is_swapped else ">u2"))
-    if form is not None:
+    code = reading.type.struct_code
+    if code is not None:
         with np.errstate(invalid="ignore"):
-            return raw.view(f">{form}")[:, 0].astype(np.float64)
-    octets = raw.view(np.uint8)
-    digits = np.stack([octets >> 4, octets & 15], axis=2).reshape(len(raw), -1)
-    numbers = digits @ (10.0 ** np.arange(digits.shape[1])[::-1])
-    return np.where((digits > 9).any(axis=1), np.nan, numbers)
+            return raw.view(f">{code}")[:, 0].astype(np.float64)
+    numbers = [reading.type.number(row.tobytes()) for row in raw]
+    return np.array([np.nan if one is None else one for one in numbers], np.float64)

@@ -18,36 +18,48 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 INDEPENDENT = 20
+"""If a series has more changes than this, the sum of their costs is scaled as if it had this many,
+because neighbouring changes are not independent."""
 MAGNITUDES = (1e-4, 1e9)
-"""The greatest absolute value of a measurement is between these, unless it is always 0."""
+"""The greatest absolute value of a series of floats must be in this range, unless all are 0; else
+it is no measurement."""
 IMPOSSIBLE = math.inf
-"""The cost in bits of what no device does."""
+"""The cost in bits of a type that no device would use for the series."""
 MOST_DECIMALS = 5
+"""Floats are tried as decimal numbers with at most this many digits after the point."""
 _FEW_OF_32_BITS, _FEW_OF_64_BITS = 2_000_000, 1e14
-"""A float with few decimals is, without its point, less than this."""
+"""A float has few decimals only if the number without its point is below this: a larger float of 32
+(64) bits looks as if it had few decimals whatever it is."""
 _BEYOND_COUNTING = 30.0
-"""The extra cost of a number that nothing measured or counted is."""
+"""Extra cost in bits of a whole number of 2^53 or more: nothing is measured or counted as high."""
 _HUGE = 6.0
-"""The extra cost of a number of 32 bits that uses them nearly all: it is rather a float."""
+"""Extra cost in bits of a whole number of 32 bits that is 2^28 or more: it is more probably a
+float."""
 _FEWEST_FLIPS = 3
+"""A register is taken for bits only if it changed at least this often."""
 _RARE = 4
-"""So many of the dearest changes of a series count in full."""
+"""If a series has more than INDEPENDENT changes, this many, the most expensive ones, keep their
+whole cost; the costs of the others are scaled down."""
 _CHEAP = 8.0
-"""The bits of a series for which no cheaper code is looked for."""
+"""A series whose steps cost fewer bits than this is not tried as an even rise or as a list of
+states, which could hardly be cheaper."""
 _MOST_LACKING = 0.2
+"""The greatest share (0 to 1) of floats that are NaN or infinite; with more, the series has no
+floats."""
 _LACKING = 8.0
-"""The cost of each of the first floats that are no number; at most _MOST_LACKING of all are so."""
+"""The cost in bits of each float that is NaN or infinite, for the first _RARE of them."""
 _MOST_STATES = 8
+"""A series is tried as a list of states if it has at most this many different numbers."""
 _HIT = 12.0
+"""The bits subtracted from the cost of a series each time it is exactly at an end of its type's
+range."""
 _WIDE_NOISE = 13
-"""A number of 16 bits seldom changes by 2^12 or more most of the time."""
+"""A number of 16 bits is called noise, at 7 bits for each binary digit, if its median change has at
+least this many binary digits (2^12 or more)."""
 
 
 def whole_cost(number: int, bits: int) -> float:

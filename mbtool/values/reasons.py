@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from mbtool.devices.point_types import PointType
 from mbtool.values.number_costs import few_decimals
-from mbtool.values.word_readings import numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from mbtool.values.word_readings import WordReading
+from mbtool.values.word_readings import WordReading, numbers_in
 
 _MAX_LISTED = 6
+"""A reason lists the values of a series if they are at most this many different ones."""
 _MOST_STATES = 12
+"""A series is called a state only if it has at most this many different numbers."""
 _FEWEST_CHANGES = 3
+"""A series with fewer changes than this is called a measurement."""
 _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
 """Numbers in a register that often mean "no value"."""
 _SECOND_NS = 1_000_000_000
 _CLOCK_ERROR_S = 5
+"""A series is the seconds since 1970 only if its distance from the recording's time varies by less
+than this (s)."""
 _DAY_S = 86_400
 _NAMES = {2: "two", 4: "four"}
 

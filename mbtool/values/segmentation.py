@@ -12,16 +12,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from mbtool.values.word_readings import WordReading
 
 STAYS = 0.6
-"""How often the next value is of the same kind for a reason, and not by chance."""
+"""The probability (0 to 1) that the next value has the kind of the one before because the device's
+manual lists equal kinds together; else its kind is drawn from the shares of kinds."""
 
 
 class Kind(StrEnum):
@@ -45,7 +45,7 @@ SHARES = {
     Kind.FLOAT4: 0.035,
     Kind.TEXT: 0.02,
 }
-"""How frequent values of each kind are in devices of which nothing is known."""
+"""The share (0 to 1) of values of each kind, before anything is known of the device."""
 
 
 class Option(NamedTuple):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class Order(StrEnum):
@@ -50,17 +48,6 @@ class WordReading(NamedTuple):
         return self.type.words
 
 
-FORMATS = {
-    PointType.UINT16: "H",
-    PointType.HEX16: "H",
-    PointType.INT16: "h",
-    PointType.UINT32: "I",
-    PointType.INT32: "i",
-    PointType.FLOAT32: "f",
-    PointType.UINT64: "Q",
-    PointType.INT64: "q",
-    PointType.FLOAT64: "d",
-}
 _SWAPPED = [(word >> 8) | ((word & 0xFF) << 8) for word in range(1 << 16)]
 
 
@@ -76,9 +63,10 @@ def numbers_in(columns: Sequence[Sequence[int]], reading: WordReading) -> Sequen
         columns = [[_SWAPPED[word] for word in column] for column in columns]
     words = [word for row in zip(*columns, strict=True) for word in row]
     data = struct.pack(f">{len(words)}H", *words)
-    form = FORMATS.get(reading.type)
-    if form is not None:
-        return struct.unpack(f">{len(columns[0])}{form}", data)
+    code = reading.type.struct_code
+    if code is not None:
+        return struct.unpack(f">{len(columns[0])}{code}", data)
     size = 2 * len(columns)
-    digits = [data[at : at + size].hex() for at in range(0, len(data), size)]
-    return [int(one) for one in digits] if all(map(str.isdecimal, digits)) else None
+    numbers = [reading.type.number(data[at : at + size]) for at in range(0, len(data), size)]
+    found = [one for one in numbers if one is not None]
+    return found if len(found) == len(numbers) else None

@@ -13,13 +13,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from mbtool.core.moments import counted
-from mbtool.ledger.baseline import ChangeKind
+from mbtool.ledger.baseline import ChangeKind, InventoryChange
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,
@@ -33,11 +34,8 @@ from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from rich.console import Console
 
-    from mbtool.ledger.baseline import InventoryChange
     from mbtool.ledger.inventory_rows import (
         FunctionUse,
         InventoryDocument,
@@ -231,7 +229,7 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
             yield f"fits {fit.profile}, by {fit.why}"
         else:
             alone = "by its traffic alone its " if row.device else ""
-            yield f"{alone}profile is not known: {fit.why}{_nearest(fit)}"
+            yield f"{alone}profile is not known: {fit.why}{_nearest_text(fit)}"
     yield from _use_lines(row.uses, most)
     if row.exceptions:
         texts = (
@@ -241,7 +239,7 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
         yield f"exceptions: {', '.join(texts)}"
 
 
-def _nearest(fit: ProfileFit) -> str:
+def _nearest_text(fit: ProfileFit) -> str:
     """Return which profile is the most alike, unless the reason why none fits names it."""
     if fit.nearest is None or fit.why_names_nearest:
         return ""

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ from mbtool.core.moments import counted
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.console import Console
 
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort, PortTrouble
@@ -33,7 +32,7 @@ def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
     for port in ports:
         table.add_row(
             plain(port.name),
-            plain(_what(port)),
+            plain(_port_text(port)),
             plain(port.driver or _UNKNOWN),
             plain(_timing(port)),
             plain(_low_latency(port)),
@@ -83,7 +82,7 @@ def _print_whole(console: Console, line: str, style: str = "") -> None:
     console.print(plain(line, style), soft_wrap=True)
 
 
-def _what(port: LocalSerialPort) -> str:
+def _port_text(port: LocalSerialPort) -> str:
     usb = f"({port.usb_id})" if port.usb_id else ""
     return f"{port.description} {usb}".strip() or _UNKNOWN
 

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -14,8 +15,6 @@ from mbtool.core.moments import counted
 from mbtool.views.tables import plain, plain_table, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.console import Console
     from rich.table import Table
 
@@ -37,12 +36,12 @@ def print_match_results(console: Console, results: Sequence[MatchResult]) -> Non
         if index:
             console.print()
         slave = result.slave
-        console.print(plain(f"{_where(slave)}: {result.sentence}", "bold"))
+        console.print(plain(f"{_slave_text(slave)}: {result.sentence}", "bold"))
         if slave.has_responded:
             console.print(_table(shown_matches(result)))
 
 
-def _where(slave: ObservedSlave) -> str:
+def _slave_text(slave: ObservedSlave) -> str:
     return f"unit {slave.unit} at {slave.destination or slave.link}"
 
 
@@ -54,7 +53,7 @@ def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
     ranked = sorted(alike.items(), key=lambda one: -len(one[1]))
     for sentence, slaves in ranked[:_MAX_SENTENCES]:
         console.print(plain(f"{counted(len(slaves), 'slave', ',')}: {sentence}", "bold"))
-        examples = ", ".join(map(_where, slaves[:_EXAMPLES]))
+        examples = ", ".join(map(_slave_text, slaves[:_EXAMPLES]))
         more = " and so on" if len(slaves) > _EXAMPLES else ""
         console.print(plain(f"  {examples}{more}"))
     if len(ranked) > _MAX_SENTENCES:

@@ -10,13 +10,12 @@ from __future__ import annotations
 import csv
 import io
 from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import clock_time, day
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.devices import PointValue
 
 MAX_HELD = 10
@@ -41,10 +40,10 @@ class PolledValues:
                 self._columns[pdu] = [_heading(point) for point in points]
         self._held.append((at_ns, values))
         if self._is_begun or len(self._columns) == len(self._requests):
-            return self.rest()
-        return self.rest() if len(self._held) >= MAX_HELD else ""
+            return self.take_held_lines()
+        return self.take_held_lines() if len(self._held) >= MAX_HELD else ""
 
-    def rest(self) -> str:
+    def take_held_lines(self) -> str:
         """Return the lines that are held back."""
         if not self._held or (not self._is_begun and not self._columns):
             return ""

@@ -6,21 +6,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from mbtool.ledger.account import OTHER_UNITS
-from mbtool.ledger.distribution import PERCENTILES
+from mbtool.ledger.account import OTHER_UNITS, Account
+from mbtool.ledger.distribution import PERCENTILES, Distribution
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.views.trouble_lines import trouble_documents
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.account import Account
     from mbtool.ledger.bus_load import BusLoad
-    from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.poll_cycle import PollList, PollLists
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
@@ -151,11 +148,11 @@ def _latency(latency: Distribution) -> dict[str, Any] | None:
 def _load(load: BusLoad) -> dict[str, Any]:
     return {
         "busy_share": load.busy_share,
-        "characters_share": load.share(load.spent.characters_ns),
-        "other_bytes_share": load.share(load.other_ns),
-        "slaves_share": load.share(load.spent.slaves_ns),
-        "missing_share": load.share(load.spent.missing_ns),
-        "pauses_share": load.share(load.pauses_ns),
+        "characters_share": load.share_of_time(load.spent.characters_ns),
+        "other_bytes_share": load.share_of_time(load.other_ns),
+        "slaves_share": load.share_of_time(load.spent.slaves_ns),
+        "missing_share": load.share_of_time(load.spent.missing_ns),
+        "pauses_share": load.share_of_time(load.pauses_ns),
     }
 
 
@@ -203,10 +200,10 @@ def _poll_load(one: PollReport, link: LinkReport) -> dict[str, Any] | None:
     if load is None or spent is None:
         return None
     return {
-        "characters_share": load.share(spent.characters_ns),
-        "slaves_share": load.share(spent.slaves_ns),
-        "missing_share": load.share(spent.missing_ns),
-        "total_share": load.share(spent.total_ns),
+        "characters_share": load.share_of_time(spent.characters_ns),
+        "slaves_share": load.share_of_time(spent.slaves_ns),
+        "missing_share": load.share_of_time(spent.missing_ns),
+        "total_share": load.share_of_time(spent.total_ns),
     }
 
 

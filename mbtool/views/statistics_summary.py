@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from mbtool.core.moments import counted, duration, percent
 from mbtool.ledger.account import MAX_LINKS, MAX_USES
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics_report import is_counted_together
+from mbtool.ledger.statistics_report import LinkReport, is_counted_together
 from mbtool.modbus import Outcome
-from mbtool.troubles.judge import units_text
+from mbtool.troubles.judge import Judgement, units_text
 from mbtool.views.statistics_columns import StyledLine, per_second
 from mbtool.views.trouble_lines import trouble_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.statistics_report import LinkReport
-    from mbtool.troubles.judge import Judgement
 
 TOGETHER_TEXT = (
     f"there are more than {MAX_LINKS:,} links or units, or {MAX_USES:,} functions of units: "
@@ -33,7 +27,7 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
     links = judgement.links
     total = merged([link.tally for link in links])
     if not total.transactions:
-        return [StyledLine("no transactions so far", "bold"), *_of_none(judgement)]
+        return [StyledLine("no transactions so far", "bold"), *_lines_without_requests(judgement)]
     lines = [StyledLine(_sum(links, total), "bold"), *trouble_lines(judgement)]
     if not all(link.has_times for link in links):
         text = "no times: the bytes of the file have none, so there are no rates and periods"
@@ -54,7 +48,7 @@ def summary_lines(judgement: Judgement) -> list[StyledLine]:
     return lines
 
 
-def _of_none(judgement: Judgement) -> list[StyledLine]:
+def _lines_without_requests(judgement: Judgement) -> list[StyledLine]:
     return trouble_lines(judgement) if judgement.troubles else []
 
 
@@ -72,10 +66,10 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
             ((_, unit), device) = next(iter(units.items()))
             of = f"unit {unit} {device or ''}".rstrip()
         where = f"{one.transport} {one.name}{settings}, {of}"
-    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered(total)}"
+    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered_text(total)}"
 
 
-def _answered(total: RequestTally) -> str:
+def _answered_text(total: RequestTally) -> str:
     """Return the share of requests that were answered as text, such as `98 % answered`.
 
     Broadcasts, and requests whose outcome the capture does not show, are not counted.

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,6 @@ from mbtool.views.statistics_columns import (
 from mbtool.views.statistics_summary import summary_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.ledger.poll_cycle import PollList
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_connections import ConnectionTally
@@ -85,7 +84,7 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
     shown = max(top // _LISTS_WITH_STEPS, 1)
     for one in long[:shown]:
         title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
-        lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
+        lines += [*_step_lines(one[2], title, width, top), *_polls_repeated_in_cycle(one[2], width)]
     lines += _part_line(found)
     return [*lines, *_untold_lists(len(long), shown), *_between_lines(links, width, top)]
 
@@ -96,7 +95,7 @@ def _part_line(found: Sequence[Found]) -> list[StyledLine]:
     parts = [
         (master.requests, asked)
         for link, master in masters.values()
-        if (asked := _asked(link, master.master)) > master.requests
+        if (asked := _count_requests(link, master.master)) > master.requests
     ]
     if not parts:
         return []
@@ -106,7 +105,7 @@ def _part_line(found: Sequence[Found]) -> list[StyledLine]:
     return [StyledLine(f"  of the last {looked_at:,}{of} requests{each}")]
 
 
-def _asked(link: LinkReport, master: str) -> int:
+def _count_requests(link: LinkReport, master: str) -> int:
     """Return the number of requests that a master sent on a link, in the polls that are known."""
     polls = (one.poll for one in link.polls)
     return sum(poll.tally.requests for poll in polls if poll.key.master == master)
@@ -159,7 +158,7 @@ def _step_lines(
     return table_lines(title, _STEP, rows, width) + more_line(len(one.steps), top, "steps")
 
 
-def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
+def _polls_repeated_in_cycle(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
     if not one.repeated:
         return []
     texts = "; ".join(f"{poll_text(poll)} x{one.polls.count(poll)}" for poll in one.repeated)
@@ -317,7 +316,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     if len(links) < 2:
         return []
     ordered = sorted(links, key=lambda one: (-one.tally.not_in_time, -one.tally.transactions))
-    missing = _of_missing([one.tally for one in links])
+    missing = _missing_columns([one.tally for one in links])
     rows = [
         StatisticsRow(
             f"{one.transport} {one.name or 'other links'} {one.settings or ''}".rstrip(),
@@ -336,7 +335,7 @@ def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list
     if len(found) < 2 or len(found) > _ALIKE * sum(len(link.polls) for link in links):
         return []  # This section would nearly repeat the section of polls.
     found.sort(key=lambda one: (-one[1].tally.not_in_time, -one[1].tally.transactions))
-    missing = _of_missing([one.tally for _, one in found])
+    missing = _missing_columns([one.tally for _, one in found])
     rows = [
         StatisticsRow(
             _prefix(link, links) + _function_text(one),
@@ -358,11 +357,11 @@ def _function_text(one: FunctionReport) -> str:
 
 def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.polls]
-    found.sort(key=lambda one: _by_failures(one[1].poll.tally))
-    missing = _of_missing([one.poll.tally for _, one in found])
+    found.sort(key=lambda one: _failures_sort_key(one[1].poll.tally))
+    missing = _missing_columns([one.poll.tally for _, one in found])
     rows = [
         StatisticsRow(
-            _of_master(link, one) + _prefix(link, links) + poll_text(one.poll),
+            _master_prefix(link, one) + _prefix(link, links) + poll_text(one.poll),
             _poll_cells(one, link, with_missing=bool(missing)),
             _style(one.poll.tally),
         )
@@ -378,7 +377,7 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     return lines + more_line(len(found), top, "polls")
 
 
-def _by_failures(tally: RequestTally) -> tuple[int, int]:
+def _failures_sort_key(tally: RequestTally) -> tuple[int, int]:
     """Return the sort key of a poll: those that failed most first, then the slowest."""
     return -_failed(tally), -tally.latency.percentile(95)
 
@@ -387,7 +386,7 @@ def _failed(tally: RequestTally) -> int:
     return tally.count(Outcome.EXCEPTION) + tally.count(Outcome.MALFORMED) + tally.not_in_time
 
 
-def _of_master(link: LinkReport, one: PollReport) -> str:
+def _master_prefix(link: LinkReport, one: PollReport) -> str:
     return f"{one.poll.key.master}: " if len(link.masters) > 1 else ""
 
 
@@ -398,7 +397,7 @@ def _poll_cells(one: PollReport, link: LinkReport, *, with_missing: bool) -> lis
     every = "varies" if poll.period.count else "-"
     share = ""
     if link.load is not None and one.line_time is not None:
-        share = percent(link.load.share(one.line_time.total_ns))
+        share = percent(link.load.share_of_time(one.line_time.total_ns))
     return [
         f"{poll.tally.requests:,}",
         in_s(poll.period.percentile(50)) if is_regular else every,
@@ -411,7 +410,7 @@ def _poll_cells(one: PollReport, link: LinkReport, *, with_missing: bool) -> lis
     ]
 
 
-def _of_missing(tallies: Iterable[RequestTally]) -> tuple[StatisticsColumn, ...]:
+def _missing_columns(tallies: Iterable[RequestTally]) -> tuple[StatisticsColumn, ...]:
     """Return the columns that tell late and damaged answers apart, if there are any."""
     is_any = any(one.damaged or one.count(Outcome.LATE) for one in tallies)
     return _OF_MISSING if is_any else ()
@@ -455,10 +454,12 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
         if load is None:
             continue
         parts = [f"busy {percent(load.busy_share)}"]
-        parts.append(f"waits for slaves {percent(load.share(load.spent.slaves_ns))}")
+        parts.append(f"waits for slaves {percent(load.share_of_time(load.spent.slaves_ns))}")
         if load.spent.missing_ns:
-            parts.append(f"for missing answers {percent(load.share(load.spent.missing_ns))}")
-        parts.append(f"free {percent(load.share(load.pauses_ns))}")
+            parts.append(
+                f"for missing answers {percent(load.share_of_time(load.spent.missing_ns))}"
+            )
+        parts.append(f"free {percent(load.share_of_time(load.pauses_ns))}")
         text = f"{_prefix(link, links)}line: {', '.join(parts)}"
         lines += wrapped(StyledLine(text), width)
         lines += _longest_polls(link, width)
@@ -476,7 +477,7 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
         return []
     found = [(one.line_time.total_ns, one.poll) for one in link.polls if one.line_time is not None]
     found.sort(key=lambda one: -one[0])
-    texts = [f"{poll_text(poll)} {percent(load.share(ns))}" for ns, poll in found[:_EATERS]]
+    texts = [f"{poll_text(poll)} {percent(load.share_of_time(ns))}" for ns, poll in found[:_EATERS]]
     text, *others = texts
     text = f"  kept most by {text}"
     for other in others:

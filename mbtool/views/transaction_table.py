@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -48,8 +49,6 @@ from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.tables import RowForm, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from rich.console import Console
 
     from mbtool.decode.usual_run import UsualRun
@@ -233,7 +232,9 @@ class TransactionTable:
         cells = [self._run_cells(column, number, run) for column in self._columns]
         texts = [f" {form.text(some)}" for form, some in zip(run.forms, run.values, strict=True)]
         lines = [*map(" ".join, zip(*cells, texts, strict=True))]
-        days = _each(self._times.day_of, [one // SECOND_NS * SECOND_NS for one in run.request_ns])
+        days = _texts_of(
+            self._times.day_of, [one // SECOND_NS * SECOND_NS for one in run.request_ns]
+        )
         begin = 0
         for date, some in groupby(days):
             end = begin + len([*some])
@@ -258,16 +259,16 @@ class TransactionTable:
             case TableColumn.PACKET:
                 return map(aligned, map(_packets_text, run.request_packets, run.response_packets))
             case TableColumn.LINK:
-                return _each(lambda one: aligned(printable(one)), run.links)
+                return _texts_of(lambda one: aligned(printable(one)), run.links)
             case TableColumn.MASTER:
-                return _each(lambda one: aligned(host_of(one)), run.sources)
+                return _texts_of(lambda one: aligned(host_of(one)), run.sources)
             case TableColumn.SLAVE:
-                return _each(aligned, run.destinations)
+                return _texts_of(aligned, run.destinations)
             case TableColumn.UNIT:
-                return _each(lambda one: aligned(str(one.like.unit)), run.forms)
+                return _texts_of(lambda one: aligned(str(one.like.unit)), run.forms)
             case _:
                 text_of = _MORE[column]
-                return _each(lambda one: aligned(printable(text_of(one.like))), run.forms)
+                return _texts_of(lambda one: aligned(printable(text_of(one.like))), run.forms)
 
     def pause(self) -> None:
         """Print the rows that wait until enough rows came to decide on the columns."""
@@ -464,7 +465,7 @@ def _latency_text(latency_ns: int) -> str:
     return f"{latency_ns / 1e6:.1f}"
 
 
-def _each(make: Callable[[T], str], items: Sequence[T]) -> list[str]:
+def _texts_of(make: Callable[[T], str], items: Sequence[T]) -> list[str]:
     """Return the text of each item; of equal items it is made only once."""
     texts = {one: make(one) for one in {*items}}
     return [texts[one] for one in items]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import product
 from textwrap import wrap
@@ -13,15 +14,13 @@ from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Evidence, Trouble
 
 WATCH_LINES = 3
 _NARROWEST = 20
 MOST = 5
-"""A text shows at most so many troubles, the worst ones, and says how many more there are."""
+"""A text shows at most this many troubles, the worst ones, and says how many more there are."""
 STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
 _LEVELS = {"well": "green", "doubt": "yellow", "bad": "red"}
 

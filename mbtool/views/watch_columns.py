@@ -7,16 +7,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from mbtool.views.tables import printable
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.views.watch_places import PlaceColumn
 
 Span = tuple[str, str]
@@ -70,7 +69,7 @@ class WatchColumn:
     than LEAST_REST characters, even if it has a greater `least_share`."""
     is_right: bool = False
     fit: Callable[[Any, DrawContext, int], Spans] | None = None
-    """Makes the cell where it has so many characters; None if the cell is just cut."""
+    """Makes the cell for a width in characters; None if a cell that is too long is just cut."""
     least: int = 0
     """If more than 0, the column is measured: its width is that of its widest cell, from this to
     `width` characters. One of width 0 needs no more than its widest cell then, and at least this.
@@ -90,6 +89,25 @@ class WatchColumn:
     def most(self) -> int:
         """The number of characters in the widest cell from which on wider cells change nothing."""
         return self.width or self.least_share
+
+
+def plain_column(
+    name: str,
+    title: str,
+    width: int,
+    field: str = "",
+    *,
+    text: Callable[[Any], str] = str,
+    **more: Any,
+) -> WatchColumn:
+    """Return a column that shows an attribute of its rows, and is sorted by it.
+
+    `field` is the name of the attribute, by default that of the column; `text` writes its value.
+    `more` are other fields of WatchColumn.
+    """
+    value = attrgetter(field or name)
+    cell = lambda row, _: text(value(row))  # noqa: E731
+    return WatchColumn(name=name, title=title, width=width, cell=cell, sort=value, **more)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from mbtool.core import Direction, WireEvent
 from mbtool.core.moments import clock_time, day, in_ms, percent
-from mbtool.devices import finding_text
+from mbtool.devices import NamedTransaction, Profile, finding_text
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import DirectionBy, Verdict
 from mbtool.views.cells import result_text, transaction_text
@@ -16,10 +16,9 @@ from mbtool.views.tables import printable
 from mbtool.watching.adu_parts import adu_parts
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.watch_columns import Spans
-    from mbtool.watching.board import TroubleRow, WatchedSlaveRow
-    from mbtool.watching.watched_rows import KeptRecord
+    from mbtool.watching.board import WatchedSlaveRow
+    from mbtool.watching.watched_rows import KeptRecord, TroubleRow
 
 WHY = {
     DirectionBy.PORT: "the port tells who sent it",
@@ -200,13 +199,13 @@ def _adu_lines(
         if name == "end":
             text = text.replace("\r", "CR").replace("\n", "LF")
         spans += [(f"{printable(text)} ", style)]
-        names += [(f"{_named(name, part, is_ascii=is_ascii)} ", style)]
+        names += [(f"{_field_text(name, part, is_ascii=is_ascii)} ", style)]
     indent = len(title) + 1
     lines = _flowed([(f"{title} ", "bold"), *spans], width, indent)
     return lines + _flowed([(" " * indent, ""), *names], width, indent, is_whole=True)
 
 
-def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
+def _field_text(name: str, part: bytes, *, is_ascii: bool) -> str:
     """Return a field's name and its number, such as `address 107`; data and CRC have no number.
 
     `part` has the field's bytes as captured; with `is_ascii`, two hexadecimal digits a byte.
@@ -229,7 +228,7 @@ def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) ->
     lines: list[Spans] = [[]]
     used = 0
     for text, style in spans:
-        for word in [text] if is_whole else _words(text):
+        for word in [text] if is_whole else _words_with_spaces(text):
             if used + len(word.rstrip()) > width and used > indent:
                 lines.append([(" " * indent, "")])
                 used = indent
@@ -238,7 +237,7 @@ def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) ->
     return lines
 
 
-def _words(text: str) -> list[str]:
+def _words_with_spaces(text: str) -> list[str]:
     """Return the words of a text, each with the spaces behind it."""
     if not text.strip():
         return [text]

@@ -10,16 +10,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
 
-from mbtool.devices import describe_points, subject_of
-from mbtool.views.watch_columns import CUT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mbtool.devices import NamedTransaction, PointValue
-    from mbtool.views.watch_columns import Spans
+from mbtool.devices import NamedTransaction, PointValue, describe_points, subject_of
+from mbtool.views.watch_columns import CUT, Spans
 
 LEAST = 10
 """A name is cut to no fewer characters than this."""
@@ -88,7 +82,9 @@ class _NamesInCell:
     def shortened(self, shorten: Callable[[str], str]) -> Spans:
         """Return the spans with shorter names."""
         alone = {
-            f"{point.name} {point.text}": f"{self._short(point, shorten)} {point.text}".lstrip()
+            f"{point.name} {point.text}": (
+                f"{self._short_name(point, shorten)} {point.text}".lstrip()
+            )
             for point in self._alone
         }
         described = {
@@ -110,7 +106,7 @@ class _NamesInCell:
         subject = subject_of(point)
         return point.name if self._subjects.get(subject) == 1 else subject
 
-    def _short(self, point: PointValue, shorten: Callable[[str], str]) -> str:
+    def _short_name(self, point: PointValue, shorten: Callable[[str], str]) -> str:
         subject = subject_of(point)
         if not subject:
             return point.name
@@ -128,7 +124,7 @@ class _NamesInCell:
         for at, (subject, members) in enumerate(series.items()):
             is_alone = len(members) == 1
             values = phrases[at].removeprefix(f"{members[0].name if is_alone else subject}: ")
-            name = self._short(members[0], shorten) if is_alone else shorten(subject)
+            name = self._short_name(members[0], shorten) if is_alone else shorten(subject)
             # If the subject is shortened to an empty text, there is no colon either.
             colon = ":" if shorten(subject) else ""
             phrases[at] = f"{name}{colon} {values}".lstrip()

@@ -8,25 +8,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from heapq import merge
 from itertools import islice
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import SerialFormat, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.ledger.statistics_report import report
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 from mbtool.watching.board import MAX_KEPT, Board
-from mbtool.watching.watched_rows import kept_record
+from mbtool.watching.watched_rows import KeptRecord, Record, kept_record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.troubles.judge import Judgement
-    from mbtool.watching.watched_rows import KeptRecord, Record
 
     Wanted = Callable[[NamedTransaction], bool]
 
@@ -136,7 +132,7 @@ class Watched:
             self.unfiltered = next(numbers, self._numbers + 1) - 1
         self.filtered.advance(self._settled_ns)
 
-    def mark(self, kept: KeptRecord) -> bool:
+    def toggle_mark(self, kept: KeptRecord) -> bool:
         """Mark a record; if it is marked already, remove its mark.
 
         Returns False, and marks nothing, if MAX_MARKED other records are marked.

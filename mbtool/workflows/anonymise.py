@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import secrets
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from heapq import merge
@@ -21,6 +22,7 @@ from mbtool.core import (
     Connection,
     Endpoint,
     InputError,
+    LinkSpec,
     Packet,
     UsageError,
     WireEvent,
@@ -36,18 +38,13 @@ from mbtool.logs.writer import LogWriter
 from mbtool.modbus import Transport
 from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.anonymous_packets import AnonymousChoice, AnonymousPackets
-from mbtool.workflows.shared.pcapng_output import NumberedPacket
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.pcapng_output import NumberedPacket, Shown
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mbtool.core import LinkSpec
     from mbtool.packets import CaptureHead
-    from mbtool.workflows.shared.pcapng_output import Shown
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.wire_streams import WirePiece
 
 KEY_BYTES = 32
@@ -118,7 +115,7 @@ class _Copy:
                 if isinstance(item, WireEvent):
                     log.write(self._event(item, packets))
                 else:
-                    log.write(self._moved(item))
+                    log.write(self._anonymous_item(item))
 
     def _replaced(self, one: Shown, packets: AnonymousPackets) -> Shown:
         """Return a packet or the bytes of a link with their content replaced."""
@@ -127,7 +124,7 @@ class _Copy:
             return NumberedPacket(packet, ())
         return one._replace(data=_replaced_bytes(one, packets))
 
-    def _moved(self, item: Packet | Chunk) -> Packet | Chunk:
+    def _anonymous_item(self, item: Packet | Chunk) -> Packet | Chunk:
         """Return a packet or a read at its new time and with the new names of its link and ends."""
         ts_ns = item.ts_ns - self._pseudonyms.shift_ns
         ts_ns = ts_ns if ts_ns >= 0 else item.ts_ns

@@ -20,29 +20,25 @@ from __future__ import annotations
 
 import random
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction, LinkError, SerialLink, TcpLink
+from mbtool.core import Direction, LinkError, LinkSpec, SerialFormat, SerialLink, TcpLink
 from mbtool.core.limits import LAST_UNIT
 from mbtool.core.moments import counted, duration, milliseconds
-from mbtool.master.wire import Heard, TcpWire
+from mbtool.master.wire import Heard, TcpWire, Wire
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
-from mbtool.modbus.tables import READS_OF_TABLE
+from mbtool.modbus.tables import READS_OF_TABLE, Table
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import LinkSpec, SerialFormat
     from mbtool.devices import Profile, Span
-    from mbtool.master.wire import Wire
-    from mbtool.modbus.tables import Table
 
 _READS = {1: "6.1", 2: "6.2", 3: "6.3", 4: "6.4"}
 """The functions that read, and their sections of the Application Protocol V1.1b3."""
@@ -56,18 +52,20 @@ _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
 MOST_SILENT = 3
-"""After so many requests in a row without an answer other signs of life are looked for."""
+"""After this many requests in a row without an answer, other requests are sent to see if the slave
+lives."""
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
 _LATE_NS = 3_000_000_000
-"""An answer that does not come in time is awaited for this time (ns) more, to tell a late one."""
+"""An answer that does not come in time is waited for this much longer (ns), to tell a late one from
+none."""
 _LONGEST_PAUSE_NS = 60_000_000
-"""A longer pause (ns) inside an answer is none of an adapter, which delivers bytes at least each
-16 ms."""
+"""A longer pause (ns) inside an answer is the slave's: an adapter delivers bytes at least every 16
+ms."""
 _RECOVERIES = 8
-"""After wrong bytes, right requests are sent until one is answered, at most so many."""
+"""After wrong bytes, right requests are sent until one is answered, at most this many."""
 _TRIES = 3
-"""What a slave makes of a pause inside or before a frame counts if it is so each of so many times:
-a slave on a busy computer may not see the pause."""
+"""The answer to a frame with a pause inside or before it counts only if it is the same each of this
+many times: a slave on a busy computer may not see the pause."""
 _PAUSES = 8
 """An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
 times, a machine with 22 processes for 2 cores made a false one."""
@@ -76,19 +74,19 @@ _TORN_NS = 60_000_000
 _ASCII_PAUSE_NS = 500_000_000
 """A pause, in ns, that the standard allows inside a frame in ASCII: up to one second."""
 _RESOLUTION_NS = 1_000_000
-"""A USB adapter sends what it is given at most so much later (ns). A pause is only tested if it may
-be this much longer or shorter."""
+"""A USB adapter sends the bytes that it is given at most this much later (ns). So a pause is tested
+only if it is at least this much shorter or longer than t1.5 and t3.5."""
 _CONNECTIONS = 8
-"""So many connections are opened at once."""
+"""The number of connections that are opened at the same time."""
 SILENT_NS = 3_000_000_000
-"""A connection that is silent for this time (ns) must still be there, or have been closed."""
+"""The time (ns) for which a TCP connection is left silent before it is used again."""
 _FREED_S = 0.1
 """A slave has this time (s) to notice that connections were closed; several times over."""
 
 
 _MOST_LOST = 2
-"""On a serial line so many requests of a run may be lost, which are answered when they are asked
-again: noise, or a pause of a busy machine inside a request, loses one, too."""
+"""On a serial line, a run may lose at most this many requests that are answered when they are sent
+again: noise, or a pause of a busy machine inside a request, can lose one."""
 _ANSWERS = "the unit answers"
 _NO_ANSWER = "no answer"
 
@@ -171,14 +169,14 @@ class Conformance:
 
         `writes` are the addresses that may be written. Raises LinkError if a serial port is lost.
         """
-        cases = self._all(writes)
-        while (result := self._next(cases)) is not None:
+        cases = self._all_cases(writes)
+        while (result := self._next_result(cases)) is not None:
             self.report.cases.append(result)
             yield result
             if stops():
                 return
 
-    def _next(self, cases: Iterator[CaseResult]) -> CaseResult | None:
+    def _next_result(self, cases: Iterator[CaseResult]) -> CaseResult | None:
         """Return the result of the next case; None after the last one, or if the unit is gone."""
         try:
             if self._unanswered >= MOST_SILENT and not self._is_alive():
@@ -203,7 +201,7 @@ class Conformance:
             self._wire.renew()
         return False
 
-    def _all(self, writes: Sequence[Span]) -> Iterator[CaseResult]:
+    def _all_cases(self, writes: Sequence[Span]) -> Iterator[CaseResult]:
         yield from self._requests()
         if isinstance(self._link, SerialLink):
             yield from self._frames(self._link)
@@ -295,12 +293,18 @@ class Conformance:
         response = self._model.respond(self._unit, pdu, time.monotonic_ns())
         wanted = None if response is None else response.pdu
         if wanted is None:
-            return "" if not heard.raw else f"expected no answer, got {self._shown(heard, pdu)}"
+            return (
+                ""
+                if not heard.raw
+                else f"expected no answer, got {self._wrong_answer_text(heard, pdu)}"
+            )
         self._unanswered = 0 if heard.raw else self._unanswered + 1
         got = heard.adus[0] if heard.adus else None
         if got is None:
-            late = "" if heard.raw or heard.is_closed else self._late(begin_ns)
-            return f"expected {_text(wanted, pdu)}, got {late or self._shown(heard, pdu)}"
+            late = "" if heard.raw or heard.is_closed else self._late_answer_text(begin_ns)
+            return (
+                f"expected {_text(wanted, pdu)}, got {late or self._wrong_answer_text(heard, pdu)}"
+            )
         if heard.rest:
             return f"expected nothing behind the answer, got {heard.rest.hex(' ')}"
         wrong_id = _wrong_id(sent, heard)
@@ -321,7 +325,7 @@ class Conformance:
             return "the slave closed the connection after the answer before"
         return ""
 
-    def _late(self, begin_ns: int) -> str:
+    def _late_answer_text(self, begin_ns: int) -> str:
         """Wait on for an answer that has not come in time; say how late it is, if it comes."""
         heard = self._wire.hear(self._late_ns, begin_ns)
         if not heard.raw:
@@ -362,13 +366,18 @@ class Conformance:
             )  # fmt: skip
             yield from self.pauses_inside(link.format)
             foreign = self._wire.adu(other, bytes.fromhex("03 02 1234"))
-            yield self._answered("a read behind an answer of another unit", f"{where} 2.4.1",
-                                 [foreign, good])  # fmt: skip
-            yield self._answered("a read behind a stray byte", f"{where} 2.5.1.1", [b"\xff", good])
+            yield self._answered_after_pause(
+                "a read behind an answer of another unit", f"{where} 2.4.1", [foreign, good]
+            )
+            yield self._answered_after_pause(
+                "a read behind a stray byte", f"{where} 2.5.1.1", [b"\xff", good]
+            )
         else:
             name = f"a frame with a pause of {duration(_ASCII_PAUSE_NS)} inside"
-            yield self._answered(name, f"{where} 2.5.2.1", halves, _ASCII_PAUSE_NS)
-            yield self._answered("a read behind half a frame", f"{where} 2.5.2.1", [b":01", good])
+            yield self._answered_after_pause(name, f"{where} 2.5.2.1", halves, _ASCII_PAUSE_NS)
+            yield self._answered_after_pause(
+                "a read behind half a frame", f"{where} 2.5.2.1", [b":01", good]
+            )
         for number in range(_QUICK_REQUESTS):
             yield self._case(f"quick request {number + 1}", f"{where} 2.5.1.1", self._good)
 
@@ -415,7 +424,7 @@ class Conformance:
         problem = "" if judged else "this machine could not make the pause exactly; not judged"
         if is_made and not is_right:
             wanted = _text(b"", self._good) if note is None else "no answer"
-            problem = f"expected {wanted}, got {self._shown(heard, self._good)}"
+            problem = f"expected {wanted}, got {self._wrong_answer_text(heard, self._good)}"
         is_note = bool(problem) and (note is not None or not judged) and not lasting
         texts = (problem, note if is_note else "", lasting)
         told = ": ".join(text for text in texts if text)
@@ -431,7 +440,7 @@ class Conformance:
         adu = self._wire.adu(self._unit, good)
         for cut in (1, 6, 7, len(adu) - 1):
             name = f"an ADU in two pieces, {cut} bytes first"
-            yield self._answered(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]])
+            yield self._answered_after_pause(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]])
         both = mbap_adu(0x1111, self._unit, good) + mbap_adu(0x2222, self._unit, good)
         heard = self._wire.send([both], awaited=2)
         ids = [one.transaction_id for one in heard.adus]
@@ -464,7 +473,7 @@ class Conformance:
         with ExitStack() as stack:
             try:
                 for _ in range(_CONNECTIONS - 1):
-                    opened.append(stack.enter_context(wire.another()))
+                    opened.append(stack.enter_context(wire.open_another()))
             except LinkError:
                 pass  # The slave has a limit.
             for number, one in enumerate([*opened, wire]):
@@ -475,7 +484,7 @@ class Conformance:
                     which = "the first" if one is wire else f"number {number + 2}"
                     problem = (
                         f"{which} of {len(opened) + 1} stays open, and a request on it got "
-                        f"{self._shown(heard, self._good)}"
+                        f"{self._wrong_answer_text(heard, self._good)}"
                     )
                     is_note = one is not wire
                     break
@@ -497,7 +506,7 @@ class Conformance:
         sent = wire.adu(self._unit, self._good)
         wire.send([sent])
         try:
-            is_open = wire.rest_silent(self._silent_ns)
+            is_open = wire.stay_silent(self._silent_ns)
         except LinkError as error:
             return _result(name, section, str(error), sent, Heard(b"", (), 0))
         heard = wire.send([sent])
@@ -523,7 +532,9 @@ class Conformance:
         """
         heard = self._wire.send(pieces, pause_ns, awaited=0)
         problem = (
-            "" if not heard.raw else f"expected no answer, got {self._shown(heard, self._good)}"
+            ""
+            if not heard.raw
+            else f"expected no answer, got {self._wrong_answer_text(heard, self._good)}"
         )
         is_note = note is not None and bool(problem)
         if is_note:
@@ -533,7 +544,7 @@ class Conformance:
             problem, is_note = f"{problem}; {lasting}".lstrip("; "), False
         return _result(name, section, problem, b"".join(pieces), heard, is_note=is_note)
 
-    def _answered(
+    def _answered_after_pause(
         self, name: str, section: str, pieces: Sequence[bytes], pause_ns: int = _TORN_NS
     ) -> CaseResult:
         """Send bytes whose last ones are a right request, with a pause before them."""
@@ -549,7 +560,8 @@ class Conformance:
     def _unless_right(self, heard: Heard, sent: bytes) -> str:
         """Say what is wrong with the answer to the right request; nothing if it is right."""
         if not _is_right(heard, self._good):
-            return f"expected {_text(b'', self._good)}, got {self._shown(heard, self._good)}"
+            got = self._wrong_answer_text(heard, self._good)
+            return f"expected {_text(b'', self._good)}, got {got}"
         return _wrong_id(sent, heard)
 
     def _lasting_problem(self, forgiven: int) -> str:
@@ -567,7 +579,7 @@ class Conformance:
                 return f"the next {counted(unanswered, 'right request')} got no right answer"
         return "afterwards it answers no right request"
 
-    def _shown(self, heard: Heard, pdu: bytes) -> str:
+    def _wrong_answer_text(self, heard: Heard, pdu: bytes) -> str:
         """Say what came in place of a right answer to the request with this PDU."""
         if heard.adus:
             return _text(heard.adus[0].pdu, pdu)
@@ -598,7 +610,8 @@ class Conformance:
                 problem = ""
                 request = _write(writing, at, changed)
                 if got != request:
-                    problem = f"expected the request repeated, got {self._shown(heard, request)}"
+                    text = self._wrong_answer_text(heard, request)
+                    problem = f"expected the request repeated, got {text}"
                 elif (after := self._value(reading, at)) != changed:
                     problem = f"expected {changed} to be read back, got {after}"
             finally:
@@ -621,7 +634,9 @@ class Conformance:
             back = self._wire.send([self._wire.adu(0, _write(writing, at, before))], awaited=0)
         problem = ""
         if heard.raw or back.raw:
-            shown = self._shown(heard if heard.raw else back, _write(writing, at, before ^ 1))
+            shown = self._wrong_answer_text(
+                heard if heard.raw else back, _write(writing, at, before ^ 1)
+            )
             problem = f"expected no answer, got {shown}"
         elif after != before ^ 1:
             problem = f"expected {before ^ 1} to be read back, got {after}"

@@ -16,8 +16,8 @@ import os
 import platform
 import re
 import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 
@@ -30,13 +30,14 @@ from mbtool.core import (
     InputError,
     OutputError,
     Packet,
+    SerialFormat,
     UsageError,
     WireEvent,
 )
 from mbtool.core.errors import reason_of
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.replacing import replacing
-from mbtool.devices import profile_to_json
+from mbtool.devices import NamedTransaction, profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.opening import typed_command
@@ -52,21 +53,16 @@ from mbtool.packets.line_packets import (
 )
 from mbtool.packets.made_packets import PacketMaker
 from mbtool.packets.tcp_ends import tcp_ends
-from mbtool.workflows.shared.conversion_inputs import grouped
+from mbtool.workflows.shared.conversion_inputs import InputGroup, grouped
 from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.undecoded_logs import heard
+from mbtool.workflows.shared.read_all import CountedWork, Watch, unwatched
+from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import LogItem
-    from mbtool.workflows.shared.conversion_inputs import InputGroup
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 
@@ -179,7 +175,7 @@ class Conversion:
     def evidence(self) -> Iterator[Shown]:
         """Decode the files, and yield the chosen packets, frames and bytes between frames."""
         self._read_marks()
-        return self._shown()
+        return self._items_to_write()
 
     def events(self) -> Iterator[WireEvent]:
         """Yield the events that tell what ports, taps and interfaces have noticed, in logs and in
@@ -191,7 +187,7 @@ class Conversion:
                 continue
             for path in group.paths:
                 with LogReader.open(path) as log, suppress(InputError):
-                    for item in heard(log):
+                    for item in evidence_and_events(log):
                         if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
                             yield item
 
@@ -232,7 +228,9 @@ class Conversion:
             with place.open("wb") as stream:
                 if suffix == ".pcap":
                     return self._write_pcap(stream, out)
-                shown = heapq.merge(self._shown(), self._errors(), key=lambda one: one.ts_ns)
+                shown = heapq.merge(
+                    self._items_to_write(), self._errors(), key=lambda one: one.ts_ns
+                )
                 return PcapngOutput(stream, self._groups, self._head()).write(shown)
         except OSError as error:
             ends = "; it ends early" if place.exists() else ""
@@ -276,7 +274,7 @@ class Conversion:
                     )
                 heard[link] = end_ns, group
 
-    def _shown(self) -> Iterator[Shown]:
+    def _items_to_write(self) -> Iterator[Shown]:
         """Yield what is written: the chosen packets, frames and bytes between frames of all
         captures, in the order of time.
         """
@@ -293,7 +291,7 @@ class Conversion:
         return [NumberedPacket(packet, (one.message,)) for one, packet in packets if packet]
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
-        read = _EvidencePass(group.marks.items)
+        read = CountedWork(group.marks.items, "packets", "writing")
         items = self._watch(read, read.counted(group.evidence()))
         pieces = (one for one in _cut(group, items) if self._keeps(group, one))
         if any(key.connection is None and key.direction is not Direction.UNKNOWN
@@ -337,8 +335,8 @@ class Conversion:
         writer: PcapWriter | None = None
         link_type = 0
         maker = PacketMaker()
-        for one in self._shown():
-            packet = one.packet if isinstance(one, NumberedPacket) else _made(one, maker, out)
+        for one in self._items_to_write():
+            packet = one.packet if isinstance(one, NumberedPacket) else _packet_of(one, maker, out)
             if writer is None:
                 link_type = packet.link_type
                 writer = PcapWriter(stream, link_type)
@@ -387,7 +385,7 @@ class Conversion:
         """Yield the packets and reads, and the transactions and events, in the order for a log: a
         transaction or event comes after the packets or reads from which it was decoded.
         """
-        evidence: Iterator[LogItem] = _reads(self._shown())
+        evidence: Iterator[LogItem] = _reads(self._items_to_write())
         records: Iterator[LogItem] = (one for one in self.records() if self._belongs(one))
         keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
         return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
@@ -410,31 +408,6 @@ class _Cut(NamedTuple):
     number: int
     """The number of the packet in its capture, from 1; 0 if `item` is a frame or other serial
     bytes."""
-
-
-@dataclass
-class _EvidencePass:
-    """How much of the evidence of a capture was read again."""
-
-    items: int
-    done: int = 0
-
-    @property
-    def fraction(self) -> float | None:
-        return min(self.done / self.items, 1.0) if self.items else None
-
-    @property
-    def progress_text(self) -> str:
-        return "writing"
-
-    @property
-    def noun(self) -> str:
-        return "packets"
-
-    def counted(self, items: Iterable[T]) -> Iterator[T]:
-        for item in items:
-            self.done += 1
-            yield item
 
 
 def _cut(group: InputGroup, items: Iterable[Chunk | Packet | WireEvent]) -> Iterator[_Cut]:
@@ -485,7 +458,7 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
     yield from open_reads.close()
 
 
-def _made(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
+def _packet_of(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
     """Return a packet with the bytes of a piece. Raises UsageError if they are of a serial line, or
     if an end of their connection has no address.
     """
@@ -567,10 +540,10 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
 
 def _spec(group: InputGroup, link: str) -> str:
     """Make the LINK text, such as `rtu:COM3@9600-8N1`, of a serial line that no log describes.
-    Unknown settings become the standard's, 19200-8E1.
+    Unknown settings become the standard's.
     """
     line = group.line_of(link)
     if line is None:
-        return f"rtu:{link}@19200-8E1"
+        return f"rtu:{link}@{SerialFormat()}"
     port = "".join("_" if each in ",@=:" else each for each in link)
     return f"{'ascii' if line.ascii else 'rtu'}:{port}@{line.format}"

@@ -7,15 +7,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from os.path import abspath
-from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.cluster.executors import DaskCluster, LocalProcesses
+from mbtool.cluster.executors import DaskCluster, Executor, LocalProcesses
 from mbtool.cluster.plan import (
     MAX_FILES,
     Around,
@@ -28,14 +27,9 @@ from mbtool.cluster.plan import (
     remaining,
     share_of,
 )
-from mbtool.cluster.store import OutputStore, is_address, list_inputs
+from mbtool.cluster.store import OutputStore, is_store_address, list_inputs
 from mbtool.sources.child import start_child
 from mbtool.workflows.decode_run import DONE, FAILED, RECORDS, DecodeTask, FileOutcome, decode_run
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.cluster.executors import Executor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +88,7 @@ class DecodeJob:
                 )
 
     def __post_init__(self) -> None:
-        if not is_address(self.output):
+        if not is_store_address(self.output):
             self.output = abspath(self.output)
 
     def _tasks(self, processes: int) -> list[DecodeTask]:
@@ -182,6 +176,6 @@ def _shared(patterns: Sequence[str]) -> list[str]:
     """
     folders = []
     for pattern in patterns:
-        parts = (pattern if is_address(pattern) else abspath(pattern)).split("/")[:-1]
+        parts = (pattern if is_store_address(pattern) else abspath(pattern)).split("/")[:-1]
         folders.append([*takewhile(lambda part: "*" not in part, parts)])
     return [one[0] for one in takewhile(lambda one: len({*one}) == 1, zip(*folders, strict=False))]

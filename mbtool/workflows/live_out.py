@@ -11,6 +11,7 @@ import json
 import os
 import re
 import subprocess
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Self, TypeAlias
@@ -24,8 +25,6 @@ from mbtool.views.openmetrics import openmetrics
 from mbtool.views.trouble_lines import trouble_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import PointMessage
@@ -41,9 +40,9 @@ Key: TypeAlias = tuple[str, str, int | None, str]
 REFRESH_NS = 1_000_000_000
 SHARE = 20
 MAX_RUNNING = 4
-"""At most so many commands run at once; a trouble that comes meanwhile waits."""
+"""At most this many commands run at one time; a trouble that comes meanwhile waits."""
 MAX_ANNOUNCED = 65_536
-"""After so many topics, each topic is announced to Home Assistant again."""
+"""After this many topics, all are forgotten, and each is announced to Home Assistant again."""
 DISCOVERY = "homeassistant"
 """The topic below which Home Assistant looks for devices."""
 _NO_ID = re.compile(r"[^A-Za-z0-9_-]+")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import InputError, UsageError, WireEvent
@@ -10,15 +11,12 @@ from mbtool.values.chosen_values import ChosenValues, NamedAddresses
 from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import SeriesKey, Values
 from mbtool.workflows.shared.questions import Wording
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.values.value_series import ValueSeries
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.time_window import TimeWindow
 
 
@@ -67,7 +65,7 @@ class PlotRun:
         if one of `texts` names no value in the files, InputError if an error comes before the first
         transaction.
         """
-        chosen = ChosenValues(self._texts, _named, self.reading.profile_for)
+        chosen = ChosenValues(self._texts, _parse_addresses, self.reading.profile_for)
         values = chosen if self._texts else Values()
         begin_ns = end_ns = 0
         try:
@@ -93,7 +91,10 @@ class PlotRun:
 def _why_missing(text: str, texts: Sequence[str]) -> str:
     """Return the message about `text`, one of the user's `texts`, that names no value."""
     behind = [*texts[texts.index(text) + 1 :], ""][0]
-    if _named(text, None) is None and _named(f"{text} {behind}", None) is not None:
+    if (
+        _parse_addresses(text, None) is None
+        and _parse_addresses(f"{text} {behind}", None) is not None
+    ):
         return f"{text!r} names no value; put its address into the same quotes: '{text} {behind}'"
     if names_table(text):
         try:
@@ -106,7 +107,7 @@ def _why_missing(text: str, texts: Sequence[str]) -> str:
     )
 
 
-def _named(text: str, profile: Profile | None) -> NamedAddresses | None:
+def _parse_addresses(text: str, profile: Profile | None) -> NamedAddresses | None:
     try:
         return NamedAddresses(*Wording(profile).addresses(text))
     except UsageError:

@@ -20,27 +20,20 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.core import Endpoint, InputError, LinkSpec, TcpLink, UsageError, parse_link
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.link_spec import ANSWERED
-from mbtool.devices import parse_who
+from mbtool.devices import NamedTransaction, Who, parse_who
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
-from mbtool.slave.shells import slave_link
+from mbtool.slave.shells import OnExchange, slave_link
 from mbtool.slave.shells.opening import ShellGroup
-from mbtool.workflows.replay_slave import PlayedSlave, SlaveRun
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.replay_slave import PlayedSlave, SlaveOptions, SlaveRun
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.recorded import demand_one_slave_each, read_recorded, where_none
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from mbtool.devices import NamedTransaction, Who
-    from mbtool.slave.shells import OnExchange
-    from mbtool.workflows.replay_slave import SlaveOptions
-    from mbtool.workflows.shared.read_all import Watch
 
 MAX_LINKS = 256
 ALL = "all"
@@ -126,7 +119,9 @@ class SiteRun:
         recorded = read_recorded(path, options, on_remark, watch, may_repeat_units=not is_whole)
         asked = [one for one in recorded.transactions if one.request_raw is not None]
         origin_ns = None if is_whole else min((one.start_ns for one in asked), default=None)
-        parts = _whole(rules[0]) if is_whole else _divided(path, rules, asked, on_remark)
+        parts = (
+            _undivided_part(rules[0]) if is_whole else _parts_by_rule(path, rules, asked, on_remark)
+        )
         self.players: list[SitePlayer] = []
         for part in parts:
             chosen = recorded.transactions
@@ -160,7 +155,7 @@ class SiteRun:
         """
         return PlayedSite(
             [
-                (one, one.run.on(one.link, allowed=allowed, on_exchange=on_exchange(one)))
+                (one, one.run.create_slave(one.link, allowed=allowed, on_exchange=on_exchange(one)))
                 for one in self.players
             ]
         )
@@ -229,12 +224,12 @@ def _demand_who(on: Sequence[str], rules: Sequence[SiteRule]) -> None:
                 )
 
 
-def _whole(rule: SiteRule) -> list[_SitePart]:
+def _undivided_part(rule: SiteRule) -> list[_SitePart]:
     assert rule.link is not None
     return [_SitePart(rule.link.name, rule.link, None)]
 
 
-def _divided(
+def _parts_by_rule(
     path: str,
     rules: Sequence[SiteRule],
     asked: Iterable[NamedTransaction],

@@ -22,6 +22,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -36,8 +37,6 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import READS_OF_TABLE, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
 
 _TABLES = (
@@ -54,16 +53,17 @@ _PROBES = (
 )
 _IDENTIFICATION = _PROBES[2]
 _LEAST_SAME = 4
-"""If so many units of a TCP link give the same answers, one device answers for all."""
+"""If at least this many units of a TCP link give the same answers, one device answers for all."""
 _Unit = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Address = Annotated[int, msgspec.Meta(ge=0, le=0x10000)]
 _VALUES, _NOTHING = 0, -1
-"""How a read ended, beside exception codes: with values; without an answer of any use."""
+"""The ways in which a read ended, beside exception codes: with values, or without a useful
+answer."""
 _ILLEGAL_FUNCTION, _ILLEGAL_VALUE, _DEVICE_FAILURE = 0x01, 0x03, 0x04
 _TRIES = 3
 FAILURES = 8
 MOST_SILENT = 3
-"""So many requests in a row without an answer end the scan of a unit that answered before."""
+"""This many requests in a row without an answer end the scan of a unit that answered before."""
 
 
 class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
@@ -134,7 +134,8 @@ class Scan:
         self._silent = 0
         """The number of requests without an answer since the last answer."""
         self._answers: set[int] = set()
-        """How the reads of the last refused block ended."""
+        """The results of the reads in the last refused block: exception codes, _VALUES or
+        _NOTHING."""
         self._limits: dict[tuple[int, int], int] = {}
         """The longest block that a unit lets read, by unit and function code."""
         self._longest: dict[tuple[int, int], int] = {}
@@ -180,7 +181,7 @@ class Scan:
                 return found
         return None
 
-    def registers(self, unit: int, addresses: range) -> Iterator[tuple[Table, int]]:
+    def scan_registers(self, unit: int, addresses: range) -> Iterator[tuple[Table, int]]:
         """Find the areas of each table; yield table and next address after each block.
 
         Addresses are those on the wire. Ends early if the unit answers no more.
@@ -201,7 +202,7 @@ class Scan:
                     self._limits[unit, code] = size // 2
                     continue
                 if answer == _ILLEGAL_VALUE and size > 1:
-                    shorter = self._shorter(unit, code, at, size)
+                    shorter = self._accepted_length(unit, code, at, size)
                     if shorter:
                         self._limits[unit, code] = shorter
                         continue
@@ -212,7 +213,7 @@ class Scan:
                     at += size
                 else:
                     self._answers.clear()
-                    for first, end in self._within(unit, code, range(at, at + size)):
+                    for first, end in self._readable_parts(unit, code, range(at, at + size)):
                         self._add(unit, table, first, end)
                     at = at + size if self._can_more(unit) else addresses.stop
                 self.state.next_addresses[key] = at
@@ -230,7 +231,7 @@ class Scan:
         is_known = any(area.unit == unit for area in self.state.areas)
         return is_known or self._answers != {_DEVICE_FAILURE}
 
-    def _shorter(self, unit: int, code: int, at: int, size: int) -> int:
+    def _accepted_length(self, unit: int, code: int, at: int, size: int) -> int:
         """Return a length of a block that is not too long for the unit, if `size` is; 0 if it
         refuses the addresses, and not the length.
         """
@@ -245,10 +246,10 @@ class Scan:
         self._refuses_by_value.add((unit, code))
         return 0
 
-    def _within(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
+    def _readable_parts(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
         """Yield the parts of a refused block that can be read, as first address and end."""
         if self._every:
-            yield from self._halves(unit, code, block)
+            yield from self._readable_halves(unit, code, block)
             return
         done, tried = block.start, 0
         for seed in block:
@@ -268,7 +269,7 @@ class Scan:
         """Return the last address that can be read from `seed` on, upwards or downwards, within
         the addresses of `rest`, which begin or end beside `seed`.
         """
-        least, most = 0, len(rest)  # so many addresses of `rest` can be read
+        least, most = 0, len(rest)  # The number of readable addresses of `rest` is between these.
         while least < most:
             middle = (least + most + 1) // 2
             first = seed if step > 0 else seed - middle
@@ -278,7 +279,7 @@ class Scan:
                 most = middle - 1
         return seed + step * least
 
-    def _halves(self, unit: int, code: int, block: range) -> Iterator[tuple[int, int]]:
+    def _readable_halves(self, unit: int, code: int, block: range) -> Iterator[tuple[int, int]]:
         if len(block) == 1 or self._silent >= MOST_SILENT:
             return
         middle = block.start + len(block) // 2
@@ -286,7 +287,7 @@ class Scan:
             if self._can_read(unit, code, half.start, len(half)):
                 yield half.start, half.stop
             else:
-                yield from self._halves(unit, code, half)
+                yield from self._readable_halves(unit, code, half)
 
     def _add(self, unit: int, table: Table, first: int, end: int) -> None:
         """Note that addresses can be read, joined with the area that ends before them."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,8 +20,6 @@ from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.logs import LogWriter, RotatingLog
     from mbtool.watching.watched import Watched
@@ -179,7 +178,7 @@ def _identity(one: NamedTransaction) -> tuple[object, ...]:
 
 def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
     """Yield the request and the response of a transaction, each as a chunk (one read of a port)."""
-    ends = _ends(one)
+    ends = _connection_of(one)
     for raw, ts_ns, direction in (
         (one.request_raw, one.request_ns, Direction.REQUEST),
         (one.response_raw, one.response_ns, Direction.RESPONSE),
@@ -195,7 +194,7 @@ def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
             )
 
 
-def _ends(one: NamedTransaction) -> Connection | None:
+def _connection_of(one: NamedTransaction) -> Connection | None:
     master, slave = _endpoint(one.source), _endpoint(one.destination)
     return None if master is None or slave is None else Connection(master, slave)
 

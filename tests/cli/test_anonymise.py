@@ -323,7 +323,7 @@ def test_settings_events_and_bytes_of_a_link_get_one_name(
             log.write(item)
     assert mbtool("convert", path, copy, "--anonymous").code == exit_codes.DONE
     with LogReader.open(copy) as reader:
-        heard = [*reader.heard()]
+        heard = [*reader.captured_items()]
         (name,) = reader.links
     assert {one.link for one in heard if isinstance(one, Packet | Chunk)} == {name}
     (event,) = [one for one in heard if isinstance(one, WireEvent) and one.kind is EventKind.GAP]

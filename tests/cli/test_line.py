@@ -9,6 +9,7 @@ from mbtool.cli import exit_codes
 from mbtool.core import SerialLink
 from mbtool.master.links import open_master
 from tests.cli.program import Program
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import FAST
 from tests.workflows.evidence import READ
 
@@ -26,7 +27,7 @@ def test_a_line_is_there_until_it_is_ended(tmp_path: Path) -> None:
         program.await_said("2 ends of one line at 115200-8N1; Ctrl-C takes it down")
         with Program("slave", "idec-ft1a-touch", "--on", f"rtu:{ends[0]}@{FAST}") as slave:
             slave.await_said("Ctrl-C ends")
-            with open_master(SerialLink(str(ends[1]), FAST)) as master:
+            with open_master(SerialLink(str(ends[1]), FAST), MASTER_TIMEOUT_NS) as master:
                 assert master.ask(1, READ) == bytes.fromhex("03 04 0000 0000")
             assert slave.end(signal.SIGINT).code == exit_codes.INTERRUPTED
         assert program.end(signal.SIGTERM).code == exit_codes.INTERRUPTED

@@ -16,6 +16,7 @@ from mbtool.replay import MatchStrategy, OnEnd, OnMiss
 from tests.cli.program import CommandLine, Program, endpoint_in
 from tests.logs.samples import transaction, write_log
 from tests.packets.building import pcap
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.evidence import READ, VALUES, captured, damaged_log
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def test_a_replay_answers_until_ctrl_c(capture: Path) -> None:
     arguments = ["--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "max"]
     with Program("replay", capture, *arguments) as program:
         said = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(said))) as master:
+        with open_master(TcpLink(endpoint_in(said)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(1, READ) == VALUES
         told = program.end(signal.SIGINT)
     assert said.startswith(f"{capture}: 1 request to unit 1 on tcp:127.0.0.1:")
@@ -43,7 +44,7 @@ def test_requests_that_were_never_recorded_are_marked_and_counted(capture: Path)
     other, command = bytes.fromhex("03 ffff 0001"), bytes.fromhex("08 0000 1234")
     with Program("replay", capture, *arguments) as program:
         said = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(said))) as master:
+        with open_master(TcpLink(endpoint_in(said)), MASTER_TIMEOUT_NS) as master:
             for request in (READ, other, command, other):
                 master.ask(1, request)
         told = program.end(signal.SIGINT)
@@ -81,7 +82,9 @@ def test_a_replay_of_a_cut_capture_says_so_and_plays_what_comes_before(tmp_path:
     path.write_bytes(pcap(captured(1))[:-1])
     with Program("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0") as program:
         assert "playing what is there" in program.await_said("cut.pcap")
-        with open_master(TcpLink(endpoint_in(program.await_said("Ctrl-C ends")))) as master:
+        with open_master(
+            TcpLink(endpoint_in(program.await_said("Ctrl-C ends"))), MASTER_TIMEOUT_NS
+        ) as master:
             assert master.ask(1, READ) == VALUES
         assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
 
@@ -90,7 +93,9 @@ def test_a_replay_of_a_damaged_log_says_so_and_plays_the_rest(tmp_path: Path) ->
     path = damaged_log(tmp_path / "a.mcap", 1)
     with Program("replay", path, "--as-slave", "--on", "tcp:127.0.0.1:0") as program:
         said = program.await_said("damaged at byte")
-        with open_master(TcpLink(endpoint_in(program.await_said("Ctrl-C ends")))) as master:
+        with open_master(
+            TcpLink(endpoint_in(program.await_said("Ctrl-C ends"))), MASTER_TIMEOUT_NS
+        ) as master:
             assert master.ask(1, READ) == VALUES
         assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
     assert said.startswith(f"mbtool: {path}: damaged at byte ")

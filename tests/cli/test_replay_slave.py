@@ -15,6 +15,7 @@ from mbtool.cli import exit_codes
 from mbtool.core import TcpLink
 from mbtool.master.links import open_master
 from tests.cli.program import PATIENCE_S, CommandLine, endpoint_in
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.evidence import READ, VALUES
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def test_it_can_be_paused_and_ended_with_keys(capture: Path) -> None:
     )
     said = terminal.await_shown("Ctrl-C ends")
     terminal.await_shown("waiting")
-    with open_master(TcpLink(endpoint_in(said))) as master:
+    with open_master(TcpLink(endpoint_in(said)), MASTER_TIMEOUT_NS) as master:
         assert master.ask(1, READ) == VALUES
     terminal.await_shown("playing")
     terminal.type(" ")

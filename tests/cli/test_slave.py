@@ -12,6 +12,7 @@ from mbtool.cli.main import run
 from mbtool.core import TcpLink
 from mbtool.master.links import open_master
 from tests.cli.program import Program, endpoint_in, said
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.evidence import READ, VALUES
 
 RECORDING = Path(__file__).resolve().parents[2] / "captures" / "ft1a-touch-line.mcap"
@@ -24,7 +25,7 @@ def test_a_slave_says_where_it_is_and_answers_until_a_signal(tmp_path: Path, num
     link = "tcp:127.0.0.1:0"
     with Program("slave", "idec-ft1a-touch", "--on", link, "--image", image) as program:
         began = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(began))) as master:
+        with open_master(TcpLink(endpoint_in(began)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(1, READ) == VALUES
         told = program.end(number)
     assert began.startswith("FT1A Touch operator interface, Modbus RTU slave as unit 1 on tcp:")
@@ -37,7 +38,7 @@ def test_it_shows_exchanges_and_outputs_and_keeps_its_state(tmp_path: Path) -> N
     arguments = ("slave", "fa3-th1m16y", "--on", link, "--print", "--state", state)
     with Program(*arguments) as program:
         began = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(began))) as master:
+        with open_master(TcpLink(endpoint_in(began)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(0, bytes.fromhex("05 0001 FF00")) is not None
             assert master.ask(0, bytes.fromhex("06 00F5 0007")) is not None
             program.await_said("outputs: Y1 on")
@@ -58,7 +59,7 @@ def test_a_reader_that_goes_away_does_not_end_a_slave(command: tuple[object, ...
         assert program.process.stdout is not None
         program.process.stdout.close()
         program.process.stdout = None
-        with open_master(TcpLink(endpoint_in(began))) as master:
+        with open_master(TcpLink(endpoint_in(began)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(1, READ) is not None
             said = program.await_said("nobody reads")
             assert master.ask(1, READ) is not None
@@ -84,7 +85,7 @@ def test_several_devices_answer_on_one_link_each_with_its_values(tmp_path: Path)
         *("--unit", "3=chino-lt830", "--image", first, "--image", f"3={other}"),
     ) as program:
         began = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(began))) as master:
+        with open_master(TcpLink(endpoint_in(began)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(7, READ) == VALUES
             assert master.ask(3, READ) == bytes.fromhex("03 04 0005 0000")
         told = program.end(signal.SIGINT)
@@ -100,7 +101,7 @@ def test_faults_of_a_file_are_shown_on_purpose(tmp_path: Path) -> None:
     link = "tcp:127.0.0.1:0"
     with Program("slave", "idec-ft1a-touch", "--on", link, "--fault", fault) as program:
         began = program.await_said("Ctrl-C ends")
-        with open_master(TcpLink(endpoint_in(began))) as master:
+        with open_master(TcpLink(endpoint_in(began)), MASTER_TIMEOUT_NS) as master:
             assert master.ask(1, READ) == bytes.fromhex("83 06")
         assert program.end(signal.SIGINT).err == ""
 

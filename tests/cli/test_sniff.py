@@ -31,6 +31,7 @@ from tests.cli.program import (
     full_terminal,
     patient,
 )
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import FAST, Bench, be_turned_away, speak
 from tests.workflows.evidence import WRITE
 
@@ -52,7 +53,7 @@ def _tap_of(program: Program) -> Endpoint:
 
 
 def _ask(tap: Endpoint, count: int) -> None:
-    with open_master(TcpLink(tap)) as master:
+    with open_master(TcpLink(tap), MASTER_TIMEOUT_NS) as master:
         for _ in range(count):
             assert master.ask(1, WRITE) == WRITE
 
@@ -100,7 +101,7 @@ def test_a_slave_that_cannot_be_reached_is_said_once_and_shown_again_from_the_lo
 def test_a_slave_that_says_its_model_is_told_once_as_it_is_heard(bench: Bench) -> None:
     with Program("sniff", bench.tap()) as program:
         tap = _tap_of(program)
-        with open_master(TcpLink(tap)) as master:
+        with open_master(TcpLink(tap), MASTER_TIMEOUT_NS) as master:
             for _ in range(2):
                 assert master.ask(0, b"\x42\x00\x16") == b"\x42\x00\x16"
         said = program.await_said("42H")

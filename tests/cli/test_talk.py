@@ -14,10 +14,10 @@ import pytest
 from mbtool.cli.talk import (
     Interrupt,
     interruptible,
-    interruption_told,
     never_waiting,
     redrawn_line,
     say,
+    say_if_interrupted,
     shown_progress,
 )
 from tests.cli.program import PATIENCE_S, full_terminal
@@ -141,10 +141,10 @@ def test_a_signal_at_any_line_of_a_wait_does_not_deadlock() -> None:
 
 
 def test_an_interruption_says_what_was_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(KeyboardInterrupt), interruption_told("interrupted; nothing was written"):
+    with pytest.raises(KeyboardInterrupt), say_if_interrupted("interrupted; nothing was written"):
         raise KeyboardInterrupt
     assert capsys.readouterr().err == "interrupted; nothing was written\n"
-    with interruption_told():
+    with say_if_interrupted():
         pass
     assert capsys.readouterr().err == ""
 

@@ -44,4 +44,4 @@ def test_refuses_a_text_that_is_no_line(text: str, problem: str) -> None:
 
 def test_settings_and_a_port_make_a_link() -> None:
     line = LineSettings(SerialFormat(9600, 7), ascii=True)
-    assert line.on("bench") == SerialLink("bench", SerialFormat(9600, 7), ascii=True)
+    assert line.link_at("bench") == SerialLink("bench", SerialFormat(9600, 7), ascii=True)

@@ -309,17 +309,17 @@ def test_events_are_told_in_the_roles_that_were_detected() -> None:
     detector = anywhere(joined=True)
     swapped = [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])]
     fed(detector, [*swapped, swapped[0]])
-    told, with_bytes = (detector.in_detected_roles(opened(raw)) for raw in (b"", b"\x01"))
+    told, with_bytes = (detector.with_detected_roles(opened(raw)) for raw in (b"", b"\x01"))
     assert (told.source, told.destination) == ("10.0.0.9:1502", "10.0.0.1:50211")
     # Whoever sent the bytes sent them, whatever the roles are.
     assert (with_bytes.source, with_bytes.destination) == (told.destination, told.source)
     assert told.link == with_bytes.link == "10.0.0.1:50211"
     straight = anywhere(joined=True)
     fed(straight, [*TCP_PAIR, TCP_PAIR[0]])
-    assert straight.in_detected_roles(opened()) == opened()
+    assert straight.with_detected_roles(opened()) == opened()
     refused = expected()
     fed(refused, [(REQUEST, TLS), (RESPONSE, TLS)])
-    assert refused.in_detected_roles(opened()) == opened()
+    assert refused.with_detected_roles(opened()) == opened()
 
 
 def test_a_request_that_waits_is_closed_while_its_connection_is_undecided() -> None:

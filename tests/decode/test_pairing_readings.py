@@ -258,16 +258,16 @@ def test_lost_responses_leave_the_requests_behind_them() -> None:
         request(number, None if number == 1 else ONE) for number in range(1, 5)
     )
     of = reading(one, two, three, four)
-    of.lose(2, 1, 0.25, 99)
+    of.suppose_lost_responses(2, 1, 0.25, 99)
     assert (of.waiting, of.passed, of.cost) == ([four], [two], 0.25)
     assert of.steps == (PairStep(99, None, (three,)),)
     # Nobody knows how many responses are those of requests that the capture lacks.
     first, second = request(1, None), request(2, None, exists=False)
     of = reading(first, second, request(3))
-    of.lose(0, 1, 0.0, 99)
+    of.suppose_lost_responses(0, 1, 0.0, 99)
     assert [one.may_not_exist for one in of.waiting] == [True, False]
     of = reading(request(1), second := request(2, None, exists=False))
-    of.lose(0, 1, 0.0, 99)
+    of.suppose_lost_responses(0, 1, 0.0, 99)
     assert not second.may_not_exist
 
 

@@ -108,7 +108,7 @@ def test_without_positions_gaps_tell_the_number_of_lost_bytes() -> None:
     progress.skip(20, 5)
     progress.skip(7, 0)
     assert progress.captured is None
-    assert (progress.without_places(), progress.without_places()) == (22, 0)
+    assert (progress.take_missing_bytes(), progress.take_missing_bytes()) == (22, 0)
 
 
 def test_a_stream_is_at_rest_when_all_bytes_before_a_position_are_read() -> None:

@@ -240,7 +240,9 @@ def test_lt830_reference_less_the_first_of_its_class_is_the_start_number(
 
 def test_lt830_takes_less_in_ascii_mode() -> None:
     profile = load_profile("chino-lt830")
-    rtu, ascii_ = (_limits(profile.in_mode(mode)) for mode in (Transport.RTU, Transport.ASCII))
+    rtu, ascii_ = (
+        _limits(profile.with_limits_of(mode)) for mode in (Transport.RTU, Transport.ASCII)
+    )
     assert [rtu[code] for code in ("01", "03", "04", "0F", "10")] == [1, 26, 26, 1, 26]
     assert [ascii_[code] for code in ("01", "03", "04", "0F", "10")] == [1, 13, 13, 1, 11]
 

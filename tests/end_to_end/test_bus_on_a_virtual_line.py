@@ -159,7 +159,9 @@ def test_a_damaged_answer_is_heard_again_on_a_line() -> None:
     assert wrong in _skipped(recorded)
     with VirtualLine(ends=3, format=LINE) as virtual:
         asking, answering, listening = (SerialLink(port, LINE) for port in virtual.ports)
-        slave = SlaveRun(str(path), SlaveOptions(with_damage=True, rate=None)).on(answering)
+        slave = SlaveRun(str(path), SlaveOptions(with_damage=True, rate=None)).create_slave(
+            answering
+        )
         run = MasterRun(
             str(path),
             MasterOptions(reading=ReadingOptions(), rate=None, timeout_ns=1_000_000_000),

@@ -22,7 +22,7 @@ from mbtool.master.links import MasterLink, open_master
 from mbtool.modbus import encode_pdu
 from mbtool.sources.virtual_line import VirtualLine
 from tests.end_to_end.programs import answering, decoded, sniffing, tcp_port
-from tests.sources.live_helpers import wait_for_end
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS, wait_for_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -50,7 +50,9 @@ def test_a_killed_tap_loses_at_most_a_second(
         slave = stack.enter_context(answering("slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0"))
         tap = f"tap:127.0.0.1:0=127.0.0.1:{tcp_port(slave)}"
         sniffer = stack.enter_context(sniffing(tap, "-w", str(log), "--device", "all=fa3-at1m8x"))
-        master = stack.enter_context(open_master(TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer)))))
+        master = stack.enter_context(
+            open_master(TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer))), MASTER_TIMEOUT_NS)
+        )
         answered_ns = write_one_after_another(master, 0x0107, pace_s, count)
         threading.Event().wait(rest_s)
         killed_ns = time.time_ns()
@@ -71,7 +73,7 @@ def test_a_killed_serial_sniffer_loses_at_most_a_second_and_leaves_no_process(
         sniffer = stack.enter_context(sniffing(str(links[1]), "-w", str(log)))
         readers = [os.pidfd_open(pid) for pid in children(sniffer.process.pid)]
         assert len(readers) == 1
-        master = stack.enter_context(open_master(links[2]))
+        master = stack.enter_context(open_master(links[2], MASTER_TIMEOUT_NS))
         answered_ns = write_one_after_another(master, 0, pace_s, count)
         threading.Event().wait(rest_s)
         killed_ns = time.time_ns()

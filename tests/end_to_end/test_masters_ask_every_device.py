@@ -101,7 +101,7 @@ def _devices(*leaving_out: Transport) -> list[tuple[str, Transport]]:
 def test_pymodbus_agrees(name: str, transport: Transport) -> None:
     with _slave(name, transport) as (device, place), _pymodbus(place) as client:
         master = _Pymodbus(client)
-        profile = load_profile(name).in_mode(transport)
+        profile = load_profile(name).with_limits_of(transport)
         _ask_all(device, profile, master)
         fifo = client.execute(False, ReadFifoQueueRequest(address=0, dev_id=UNIT))
         assert fifo.exception_code == profile.exceptions.function
@@ -292,7 +292,7 @@ def _table(code: int) -> Table:
 
 @contextmanager
 def _slave(name: str, transport: Transport) -> Iterator[tuple[DeviceResponder, Place]]:
-    profile = load_profile(name).in_mode(transport)
+    profile = load_profile(name).with_limits_of(transport)
     device = make_device(profile, RegisterImage.of(profile))
     for area in profile.areas:
         if area.last - area.first >= SETTLED:

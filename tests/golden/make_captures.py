@@ -28,6 +28,7 @@ from mbtool.slave.shells import SerialSlave
 from mbtool.workflows.demo import MODULE_UNIT, module_requests
 from tests.end_to_end.peers import ask_twenty, pymodbus_server, tcp_client
 from tests.end_to_end.programs import Program, answering, mbtool, required, sniffing, tcp_port
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -119,7 +120,9 @@ def fa3_at1m8x_setup(name: str) -> None:
         stack.enter_context(recording(*log))
         log = (f"{name}.mcap", len(requests), "tap:127.0.0.1:0=127.0.0.1:502", *device)
         sniffer = stack.enter_context(recording(*log))
-        with open_master(TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer)))) as master:
+        with open_master(
+            TcpLink(Endpoint("127.0.0.1", tcp_port(sniffer))), MASTER_TIMEOUT_NS
+        ) as master:
             for pdu in requests:
                 assert master.ask(MODULE_UNIT, pdu)
         threading.Event().wait(SETTLE_S)

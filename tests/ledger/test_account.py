@@ -139,13 +139,15 @@ def test_the_load_of_a_line_follows_from_bytes_and_baud_rate() -> None:
     assert link.load is not None
     wire_s = 4 * (8 + 25) * CHARACTER_S
     assert link.load.busy_share == pytest.approx(wire_s, rel=0.03)
-    assert link.load.share(link.load.spent.slaves_ns) == pytest.approx(4 * 0.005, rel=0.03)
+    assert link.load.share_of_time(link.load.spent.slaves_ns) == pytest.approx(4 * 0.005, rel=0.03)
     assert link.load.spent.missing_ns == 0
     shares = [
-        link.load.share(one.line_time.total_ns) for one in link.polls if one.line_time is not None
+        link.load.share_of_time(one.line_time.total_ns)
+        for one in link.polls
+        if one.line_time is not None
     ]
     assert sum(shares) == pytest.approx(wire_s + 4 * 0.005, rel=0.03)
-    assert link.load.busy_share + link.load.share(link.load.pauses_ns) < 1
+    assert link.load.busy_share + link.load.share_of_time(link.load.pauses_ns) < 1
 
 
 def test_a_dead_unit_eats_the_time_that_its_master_waits() -> None:
@@ -161,7 +163,7 @@ def test_a_dead_unit_eats_the_time_that_its_master_waits() -> None:
     cycle_ms = 50 + 2 * 500 + 50 + 100
     # The wait begins at the end of the request, 8 characters later than in the plan.
     waited_ms = 2 * (500 - 8 * 1000 * CHARACTER_S)
-    waits = link.load.share(link.load.spent.missing_ns)
+    waits = link.load.share_of_time(link.load.spent.missing_ns)
     assert waits == pytest.approx(waited_ms / cycle_ms, rel=0.03)
     (master_report,) = link.masters
     (found,) = master_report.lists.lists

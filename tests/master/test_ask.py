@@ -14,6 +14,7 @@ from mbtool.modbus import Response, mbap_adu
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, VALUES, WRITE
 
@@ -33,7 +34,10 @@ def _device(unit: int, pdu: bytes) -> Response | None:
 
 def test_asks_over_tcp() -> None:
     script = Scripted(lambda _unit, _pdu: Response(VALUES))
-    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
+    with (
+        TcpSlave(TcpLink(ANY), script) as slave,
+        open_master(TcpLink(slave.endpoint), MASTER_TIMEOUT_NS) as master,
+    ):
         assert master.ask(1, READ) == VALUES
         assert master.ask(5, READ) == VALUES
     assert script.asked == [(1, READ), (5, READ)]
@@ -51,7 +55,9 @@ def test_no_response_over_tcp_gives_none_and_a_late_response_is_not_taken_for_th
 def test_a_connection_that_is_closed_while_it_waits_gives_none() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1]))) as master,
+        open_master(
+            TcpLink(Endpoint("127.0.0.1", server.getsockname()[1])), MASTER_TIMEOUT_NS
+        ) as master,
         ThreadPoolExecutor() as pool,
     ):
         with server.accept()[0] as accepted:
@@ -63,7 +69,9 @@ def test_a_connection_that_is_closed_while_it_waits_gives_none() -> None:
 def test_a_closed_connection_is_opened_again_for_the_next_request() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1]))) as master,
+        open_master(
+            TcpLink(Endpoint("127.0.0.1", server.getsockname()[1])), MASTER_TIMEOUT_NS
+        ) as master,
         ThreadPoolExecutor() as pool,
     ):
         server.accept()[0].close()
@@ -80,13 +88,13 @@ def test_the_error_names_the_slave_that_cannot_be_reached() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(LinkError, match=f"127.0.0.1:{port}: cannot be reached"):
-        open_master(TcpLink(Endpoint("127.0.0.1", port)))
+        open_master(TcpLink(Endpoint("127.0.0.1", port)), MASTER_TIMEOUT_NS)
 
 
 def test_asks_on_a_serial_line() -> None:
     with VirtualLine(ends=2, format=FAST) as line:
         slave, master = (SerialLink(port, FAST) for port in line.ports)
-        with SerialSlave(slave, Scripted(_device)), open_master(master) as rtu:
+        with SerialSlave(slave, Scripted(_device)), open_master(master, MASTER_TIMEOUT_NS) as rtu:
             assert rtu.ask(1, WRITE) == WRITE
             assert rtu.ask(2, READ) == VALUES
 
@@ -101,4 +109,4 @@ def test_no_response_on_a_serial_line_gives_none() -> None:
 
 def test_a_port_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="absent: is not there"):
-        open_master(SerialLink(str(tmp_path / "absent"), FAST))
+        open_master(SerialLink(str(tmp_path / "absent"), FAST), MASTER_TIMEOUT_NS)

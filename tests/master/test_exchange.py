@@ -18,6 +18,7 @@ from mbtool.modbus.adu import Transport
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, VALUES, WRITE
 
@@ -26,7 +27,10 @@ SHORT_NS = 200_000_000
 
 def test_both_adus_are_kept_as_they_were_on_the_wire() -> None:
     script = Scripted(lambda _unit, _pdu: Response(VALUES))
-    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
+    with (
+        TcpSlave(TcpLink(ANY), script) as slave,
+        open_master(TcpLink(slave.endpoint), MASTER_TIMEOUT_NS) as master,
+    ):
         first, second = master.exchange(1, READ), master.exchange(5, READ)
     assert first.response is not None
     assert first.request.raw == mbap_adu(1, 1, READ)
@@ -40,7 +44,7 @@ def test_rtu_over_tcp_has_no_transaction_id() -> None:
     script = Scripted(lambda _unit, _pdu: Response(VALUES))
     with (
         TcpSlave(TcpLink(ANY, rtu=True), script) as slave,
-        open_master(TcpLink(slave.endpoint, rtu=True)) as master,
+        open_master(TcpLink(slave.endpoint, rtu=True), MASTER_TIMEOUT_NS) as master,
     ):
         done = master.exchange(1, READ)
     assert (done.request.transport, done.request.transaction_id) == (Transport.RTU_TCP, None)
@@ -51,7 +55,9 @@ def test_bytes_that_are_no_response_are_kept_beside_it() -> None:
     wrong = b"\xff\x00\xff"  # As a line at another baud rate gives.
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        open_master(TcpLink(Endpoint(*server.getsockname()), rtu=True)) as master,
+        open_master(
+            TcpLink(Endpoint(*server.getsockname()), rtu=True), MASTER_TIMEOUT_NS
+        ) as master,
         ThreadPoolExecutor() as pool,
         server.accept()[0] as accepted,
     ):
@@ -93,7 +99,10 @@ def test_a_response_that_came_while_this_process_did_not_run_is_read(
 ) -> None:
     ten_seconds = count(0, 10_000_000_000)  # Pass whenever somebody looks at the clock.
     script = Scripted(lambda _unit, _pdu: Response(VALUES))
-    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
+    with (
+        TcpSlave(TcpLink(ANY), script) as slave,
+        open_master(TcpLink(slave.endpoint), MASTER_TIMEOUT_NS) as master,
+    ):
         answer = master.exchange(1, READ).response
         assert answer is not None
         monkeypatch.setattr(master, "receive", lambda _: [ReceivedResponse(2, VALUES, 0, 0)])
@@ -160,6 +169,6 @@ def test_a_response_that_is_read_in_two_parts_seconds_apart_is_one_frame(
     seconds = count(0, 1_000_000_000)  # Pass whenever somebody looks at the clock.
     monkeypatch.setattr(links, "open_port", lambda *_: _Port(rtu_adu(1, VALUES)))
     monkeypatch.setattr(links, "time", SimpleNamespace(monotonic_ns=seconds.__next__))
-    with open_master(SerialLink("/dev/ttyUSB0", SerialFormat(19200))) as master:
+    with open_master(SerialLink("/dev/ttyUSB0", SerialFormat(19200)), MASTER_TIMEOUT_NS) as master:
         master.send(7, 1, READ)
         assert [(one.number, one.pdu) for one in master.receive(0)] == [(7, VALUES)]

@@ -69,27 +69,27 @@ def test_the_pause_behind_a_poll_is_the_shortest_one_heard() -> None:
     other, now_ns = heard(line(), 6)
     longest_ns = 0.9 * (400 * MS)
     assert other.longest_pause_ns == pytest.approx(longest_ns, rel=0.02)
-    assert other.rest_ns(now_ns + 4 * MS) == pytest.approx(longest_ns - 4 * MS, rel=0.02)
-    assert other.rest_ns(now_ns + 500 * MS) == 0
+    assert other.silence_left_ns(now_ns + 4 * MS) == pytest.approx(longest_ns - 4 * MS, rel=0.02)
+    assert other.silence_left_ns(now_ns + 500 * MS) == 0
 
 
 def test_no_pause_is_sure_before_it_was_heard_three_times() -> None:
     other, now_ns = heard(line(), 3)  # Two pauses lie between three cycles.
     assert other.longest_pause_ns == pytest.approx(0.9 * 20 * MS, rel=0.1)
-    assert other.rest_ns(now_ns + 4 * MS) == 0
+    assert other.silence_left_ns(now_ns + 4 * MS) == 0
 
 
 def test_there_is_no_pause_while_a_request_begins() -> None:
     other, now_ns = heard(line(), 6)
-    assert other.rest_ns(now_ns + 50 * MS) > MARGIN_NS
+    assert other.silence_left_ns(now_ns + 50 * MS) > MARGIN_NS
     other.feed(READ_1[:1], now_ns + 60 * MS)
-    assert other.rest_ns(now_ns + 61 * MS) == 0
+    assert other.silence_left_ns(now_ns + 61 * MS) == 0
 
 
 def test_a_pause_is_used_once() -> None:
     other, now_ns = heard(line(), 6)
     other.note_our_request()
-    assert other.rest_ns(now_ns + 4 * MS) == 0
+    assert other.silence_left_ns(now_ns + 4 * MS) == 0
 
 
 def test_the_latency_of_a_unit_is_the_longest_heard() -> None:
@@ -128,9 +128,9 @@ def test_a_pause_is_known_again_after_bytes_were_missed() -> None:
     other.listen_anew(now_ns)
     now_ns = frames(other, link, now_ns, (READ_2, 20), (ANSWER_2, 8))
     assert other.longest_pause_ns == known_ns
-    assert other.rest_ns(now_ns + 4 * MS) == 0  # The poll of unit 1 may come at any moment.
+    assert other.silence_left_ns(now_ns + 4 * MS) == 0  # The poll of unit 1 may come at any moment.
     now_ns = frames(other, link, now_ns, (READ_1, 400), (ANSWER_1, 5), (READ_2, 20), (ANSWER_2, 8))
-    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+    assert other.silence_left_ns(now_ns + 4 * MS) > 300 * MS
 
 
 def test_a_poll_that_has_stopped_is_no_longer_awaited() -> None:
@@ -138,7 +138,7 @@ def test_a_poll_that_has_stopped_is_no_longer_awaited() -> None:
     other, now_ns = heard(link, 6)
     for _ in range(4):
         now_ns = frames(other, link, now_ns, (READ_2, 420), (ANSWER_2, 8))
-    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+    assert other.silence_left_ns(now_ns + 4 * MS) > 300 * MS
 
 
 def test_a_pause_ends_where_a_poll_at_a_fixed_time_is_due() -> None:
@@ -149,7 +149,7 @@ def test_a_pause_ends_where_a_poll_at_a_fixed_time_is_due() -> None:
         frames(other, link, begin_ns, (READ_1, 0), (ANSWER_1, 10))
         now_ns = begin_ns + 300 * MS
     answered_ns = frames(other, link, now_ns, (READ_1, 0), (ANSWER_1, 200))
-    rest_ns = other.rest_ns(answered_ns + 4 * MS)
+    rest_ns = other.silence_left_ns(answered_ns + 4 * MS)
     assert 0 < answered_ns + 4 * MS + rest_ns <= now_ns + 300 * MS + 8 * link.format.character_ns
 
 
@@ -170,7 +170,7 @@ def test_no_request_falls_into_the_silence_that_is_promised(seed: int) -> None:
         due_ns[place] += period_ms * MS
         latency_ms = chance.randint(5, 20 if number < 30 else 120)
         now_ns = frames(other, link, begin_ns, (request, 0), (answer, latency_ms))
-        rest_ns = other.rest_ns(now_ns + 4 * MS)
+        rest_ns = other.silence_left_ns(now_ns + 4 * MS)
         promises += rest_ns >= 100 * MS
         promised_ns = now_ns + 4 * MS + rest_ns
     assert promises > 20
@@ -189,7 +189,7 @@ def test_bytes_of_others_beside_our_request_shorten_the_pause() -> None:
     other.note_our_request()
     other.note_intrusion(now_ns + 120 * MS)
     assert other.longest_pause_ns == pytest.approx(0.9 * 120 * MS)
-    assert other.rest_ns(now_ns + 130 * MS) == 0
+    assert other.silence_left_ns(now_ns + 130 * MS) == 0
 
 
 def test_bytes_that_were_read_late_tell_nothing_of_a_pause() -> None:
@@ -203,7 +203,7 @@ def test_bytes_that_were_read_late_tell_nothing_of_a_pause() -> None:
     now_ns = frames(other, link, now_ns + 350 * MS, *cycle, *cycle[:3])
     assert other.longest_pause_ns == known_ns
     assert other.polls[READ_1].shortest_period_ns == period_ns
-    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
+    assert other.silence_left_ns(now_ns + 4 * MS) > 300 * MS
 
 
 def test_a_unit_that_may_still_answer_the_other_master_is_not_asked() -> None:
@@ -212,9 +212,9 @@ def test_a_unit_that_may_still_answer_the_other_master_is_not_asked() -> None:
     # Unit 1 does not answer, then answers the request before in place of the present one.
     cycle = ((READ_1, 400), (READ_2, 20), (ANSWER_2, 8))
     now_ns = frames(other, link, now_ns, *cycle)
-    assert other.rest_ns(now_ns + 4 * MS, unit=2) > 0
-    assert other.rest_ns(now_ns + 4 * MS, unit=1) == 0
+    assert other.silence_left_ns(now_ns + 4 * MS, unit=2) > 0
+    assert other.silence_left_ns(now_ns + 4 * MS, unit=1) == 0
     late = rtu_adu(1, bytes.fromhex("03 02 0001"))
     for answer, is_free in ((late, False), (ANSWER_1, False), (ANSWER_1, True)):
         now_ns = frames(other, link, now_ns, (READ_1, 400), (answer, 5), *cycle[1:])
-        assert (other.rest_ns(now_ns + 4 * MS, unit=1) > 0) == is_free
+        assert (other.silence_left_ns(now_ns + 4 * MS, unit=1) > 0) == is_free

@@ -13,6 +13,7 @@ from mbtool.core import Endpoint, TcpLink, UsageError
 from mbtool.master.links import TcpMaster, open_master
 from mbtool.master.wire import open_wire
 from mbtool.modbus import mbap_adu, rtu_adu
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -52,14 +53,17 @@ def _slave(answers: Callable[[bytes], list[bytes]], *, rtu: bool = False) -> Ite
 def test_asks_and_is_answered() -> None:
     with (
         _slave(lambda asked: [asked[:2] + mbap_adu(0, 1, ONE)[2:]]) as link,
-        open_master(link) as master,
+        open_master(link, MASTER_TIMEOUT_NS) as master,
     ):
         assert str(master.transport) == "udp"
         assert [master.ask(1, READ) for _ in range(3)] == [ONE] * 3
 
 
 def test_asks_in_rtu_frames() -> None:
-    with _slave(lambda _: [rtu_adu(1, ONE)], rtu=True) as link, open_master(link) as master:
+    with (
+        _slave(lambda _: [rtu_adu(1, ONE)], rtu=True) as link,
+        open_master(link, MASTER_TIMEOUT_NS) as master,
+    ):
         assert str(master.transport) == "rtu-udp"
         assert [master.ask(1, READ) for _ in range(3)] == [ONE] * 3
 
@@ -96,7 +100,7 @@ def test_a_doubled_response_is_not_taken_for_that_of_the_next_request() -> None:
         value = bytes((3, 2, 0, len(asked)))
         return [mbap_adu(len(asked), 1, value)] * 2
 
-    with _slave(answers) as link, open_master(link) as master:
+    with _slave(answers) as link, open_master(link, MASTER_TIMEOUT_NS) as master:
         assert [(master.ask(1, READ) or b"")[-1:] for _ in range(4)] == [b"\1", b"\2", b"\3", b"\4"]
 
 
@@ -104,7 +108,7 @@ def test_a_part_of_a_response_joins_no_other_datagram() -> None:
     whole = mbap_adu(1, 1, ONE)
     with (
         _slave(lambda _: [b"", whole[:5], whole]) as link,
-        open_master(link) as master,
+        open_master(link, MASTER_TIMEOUT_NS) as master,
     ):
         assert master.ask(1, READ) == ONE
 

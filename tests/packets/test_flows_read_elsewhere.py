@@ -268,7 +268,7 @@ def test_a_connection_rests_if_it_holds_nothing_and_waits_for_nothing() -> None:
         run_packets([packet], reassembler, close=False)
         connection = reassembler.find(_ends(10000))
         assert connection is not None
-        rests.append(connection.rest)
+        rests.append(connection.rest_place)
     assert rests == [
         None, RestPlace(1001, 5001, 0, 0), RestPlace(1001, 5001, 0, 0),
         RestPlace(1005, 5001, 4, 0), RestPlace(1005, 5005, 4, 4),
@@ -280,16 +280,16 @@ def test_a_connection_rests_if_it_holds_nothing_and_waits_for_nothing() -> None:
     for end in (talk.master, talk.slave):
         copy = [talk.at(end, end.sequence + 3, b"behind a hole")]
         run_packets(copy, reassembler, close=False)
-        rests.append(connection.rest)
+        rests.append(connection.rest_place)
         holds.append(connection.holds_bytes)
         run_packets([talk.at(end, end.sequence, b"abc")], reassembler, close=False)
         end.sequence += 16
-        rests.append(connection.rest)
+        rests.append(connection.rest_place)
         holds.append(connection.holds_bytes)
     run_packets([talk.send(talk.master, flags=FIN | ACK)], reassembler, close=False)
-    rests.append(connection.rest)
+    rests.append(connection.rest_place)
     connection.close(0, CloseReason.RESET)
-    rests.append(connection.rest)
+    rests.append(connection.rest_place)
     assert [one is None for one in rests] == [True, False, True, False, True, True]
     assert holds == [True, False, True, False]
 

@@ -24,7 +24,7 @@ def errors(driver: Driver | None = None) -> LineErrors:
 
 def test_a_single_error_is_told_at_once_with_its_byte_and_time() -> None:
     one = errors()
-    one.mark(b"\x01\xf8\x02\x03", [1], 50_000)
+    one.note_damaged(b"\x01\xf8\x02\x03", [1], 50_000)
     (told,) = one.tell(50_000)
     assert (told.ts_ns, told.text) == (48_000, "parity or framing error at byte F8H")
     assert one.tell_all(60_000) == []
@@ -32,7 +32,7 @@ def test_a_single_error_is_told_at_once_with_its_byte_and_time() -> None:
 
 def test_a_damaged_zero_may_be_a_break() -> None:
     one = errors()
-    one.mark(b"\x00", [0], 50_000)
+    one.note_damaged(b"\x00", [0], 50_000)
     assert one.tell(50_000)[0].text == "break, or parity or framing error at byte 00H"
 
 
@@ -40,7 +40,7 @@ def test_a_flood_is_told_at_once_and_then_once_a_second() -> None:
     one = errors()
     told: list[LineTrouble] = []
     for at_ns in range(0, 10 * S, S // 100):
-        one.mark(b"\xff\x00\x1c", [0, 1, 2], at_ns)
+        one.note_damaged(b"\xff\x00\x1c", [0, 1, 2], at_ns)
         told += one.tell(at_ns)
         assert len(one._first) <= SHOWN
     assert len(told) == 10
@@ -54,7 +54,7 @@ def test_a_flood_is_told_at_once_and_then_once_a_second() -> None:
 def test_an_error_after_a_second_without_any_is_told_at_once_again() -> None:
     one = errors()
     for at_ns in (0, 2 * S, 3 * S):
-        one.mark(b"\x41", [0], at_ns)
+        one.note_damaged(b"\x41", [0], at_ns)
         assert len(one.tell(at_ns)) == 1
 
 
@@ -73,7 +73,7 @@ def test_marks_and_counters_are_told_together() -> None:
     driver = Driver()
     one = errors(driver)
     driver.counts = ErrorCounts(breaks=1)
-    one.mark(b"\x00", [0], 5)
+    one.note_damaged(b"\x00", [0], 5)
     assert one.tell(5)[0].text == (
         "break, or parity or framing error at byte 00H; the driver counts 1 break"
     )

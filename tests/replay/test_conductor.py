@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core.limits import RESPONSE_TIMEOUT_NS, TURNAROUND_NS, LinkLimits
+from mbtool.core.limits import TURNAROUND_NS, LinkLimits
 from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.conductor import Conductor
@@ -79,7 +79,7 @@ def test_a_step_waits_for_a_late_answer() -> None:
     played = Played(*(answered(at, READ, VALUE) for at in (0, 100)))
     played.sent(0)
     assert played.sent(150) == []
-    assert played.wake(150) == RESPONSE_TIMEOUT_NS / MS
+    assert played.wake(150) == LinkLimits().timeout_ns / MS
     played.answer(0, 160)
     assert played.sent(160) == [1]
 
@@ -106,7 +106,7 @@ def test_no_step_waits_for_a_request_without_a_response() -> None:
     assert [played.sent(at) for at in (0, 5, 10)] == [[0], [1], [2]]
     played.answer(2, 15)
     assert not played.conductor.has_ended
-    given_up = played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS + 5 * MS)
+    given_up = played.conductor.expire(BEGIN + LinkLimits().timeout_ns + 5 * MS)
     assert [(step.number, is_right) for step, is_right in given_up] == [(0, True), (1, True)]
     assert played.conductor.has_ended
 
@@ -114,10 +114,10 @@ def test_no_step_waits_for_a_request_without_a_response() -> None:
 def test_a_request_without_a_response_is_given_up() -> None:
     played = Played(answered(0, READ, VALUE), answered(10, READ, VALUE))
     played.sent(0)
-    assert played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS - 1) == []
-    ((step, is_right),) = played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS)
+    assert played.conductor.expire(BEGIN + LinkLimits().timeout_ns - 1) == []
+    ((step, is_right),) = played.conductor.expire(BEGIN + LinkLimits().timeout_ns)
     assert (step.number, is_right) == (0, False)
-    assert played.sent(RESPONSE_TIMEOUT_NS / MS) == [1]
+    assert played.sent(LinkLimits().timeout_ns / MS) == [1]
 
 
 def test_a_request_can_be_given_up_before_its_time_out() -> None:
@@ -136,8 +136,8 @@ def test_a_serial_line_carries_one_request_at_a_time() -> None:
     played = Played(unanswered(0, READ), answered(1, READ, VALUE), limits=limits)
     played.sent(0)
     assert played.sent(1) == []
-    played.conductor.expire(BEGIN + RESPONSE_TIMEOUT_NS)
-    after = RESPONSE_TIMEOUT_NS / MS
+    played.conductor.expire(BEGIN + LinkLimits().timeout_ns)
+    after = LinkLimits().timeout_ns / MS
     assert (played.sent(after), played.wake(after)) == ([], after + 4)
     assert played.sent(after + 4) == [1]
 

@@ -65,7 +65,7 @@ def test_an_exception_can_be_damaged_too() -> None:
 
 
 def _sent(damaged: DamagedAnswer, transport: Transport) -> bytes | None:
-    answer = damaged.again(transport, 3)
+    answer = damaged.with_same_damage(transport, 3)
     if answer is None:
         return None
     assert answer.delay_ns == 3

@@ -40,13 +40,13 @@ def _kept(value: int, at_ms: int, recorded: int, lap: int = 0) -> LiveWrites:
 
 def test_a_register_that_was_not_written_has_its_recorded_value() -> None:
     assert _writes().shown(*AT, 1, _place(50)) == 1
-    assert _writes().in_answer(1, HELD, 0, [1, 2], _place(50)) == [1, 2]
+    assert _writes().overlay_on_recorded(1, HELD, 0, [1, 2], _place(50)) == [1, 2]
 
 
 @pytest.mark.parametrize(("at_ms", "shown"), [(0, 9), (50, 9), (299, 9), (300, 42), (900, 42)])
 def test_a_live_write_lasts_until_the_next_recorded_one(at_ms: int, shown: int) -> None:
     assert _kept(9, 150, 5).shown(*AT, 42, _place(at_ms)) == shown
-    assert _kept(9, 150, 5).in_answer(1, HELD, 0, [42], _place(at_ms)) == [shown]
+    assert _kept(9, 150, 5).overlay_on_recorded(1, HELD, 0, [42], _place(at_ms)) == [shown]
 
 
 def test_after_the_last_recorded_write_it_lasts_until_the_next_lap_writes() -> None:
@@ -58,7 +58,9 @@ def test_after_the_last_recorded_write_it_lasts_until_the_next_lap_writes() -> N
 def test_what_the_recording_has_shown_is_not_taken_back_by_an_older_answer() -> None:
     writes = _kept(9, 150, 5)
     answers = [(7, 310), (1, 160), (8, 500), (7, 320), (1, 0)]
-    shown = [writes.in_answer(1, HELD, 0, [value], _place(at_ms)) for value, at_ms in answers]
+    shown = [
+        writes.overlay_on_recorded(1, HELD, 0, [value], _place(at_ms)) for value, at_ms in answers
+    ]
     assert shown == [[7], [7], [8], [8], [8]]
     assert writes.shown(*AT, 1, _place(160)) == 8
 
@@ -66,21 +68,21 @@ def test_what_the_recording_has_shown_is_not_taken_back_by_an_older_answer() -> 
 def test_a_look_at_the_image_ends_nothing() -> None:
     writes = _kept(9, 150, 5)
     assert writes.shown(*AT, 8, _place(500)) == 8
-    assert writes.in_answer(1, HELD, 0, [5], _place(160)) == [9]
+    assert writes.overlay_on_recorded(1, HELD, 0, [5], _place(160)) == [9]
 
 
 def test_a_second_live_write_counts_from_the_latest_place_shown() -> None:
     writes = _kept(9, 0, 1)
-    assert writes.in_answer(1, HELD, 0, [8], _place(500)) == [8]
+    assert writes.overlay_on_recorded(1, HELD, 0, [8], _place(500)) == [8]
     writes.keep(*AT, 3, recorded=1, place=_place(0))
-    assert writes.in_answer(1, HELD, 0, [8], _place(500)) == [3]
+    assert writes.overlay_on_recorded(1, HELD, 0, [8], _place(500)) == [3]
 
 
 def test_a_live_write_of_what_the_recording_wrote_shows_what_came_of_it() -> None:
     writes = _kept(7, 310, 7)
     assert writes.shown(*AT, 7, _place(320)) == 7
     assert writes.shown(*AT, 8, _place(500)) == 8
-    assert writes.in_answer(1, HELD, 0, [5], _place(200)) == [7]  # From before the write.
+    assert writes.overlay_on_recorded(1, HELD, 0, [5], _place(200)) == [7]  # From before the write.
 
 
 @pytest.mark.parametrize(("value", "recorded"), [(7, 8), (8, 8)])
@@ -92,7 +94,7 @@ def test_a_live_write_of_a_value_that_has_changed_since_is_kept(value: int, reco
 def test_only_the_written_addresses_of_an_answer_are_shown() -> None:
     writes = _kept(9, 150, 5)
     writes.keep(1, HELD, 3, 4, recorded=0, place=_place(0))
-    assert writes.in_answer(1, HELD, 0, [1, 2, 3], _place(160)) == [9, 2, 3]
-    assert writes.in_answer(1, HELD, 2, [3, 5], _place(160)) == [3, 4]
-    assert writes.in_answer(2, HELD, 0, [1], _place(160)) == [1]
-    assert writes.in_answer(1, Table.COILS, 0, [1], _place(160)) == [1]
+    assert writes.overlay_on_recorded(1, HELD, 0, [1, 2, 3], _place(160)) == [9, 2, 3]
+    assert writes.overlay_on_recorded(1, HELD, 2, [3, 5], _place(160)) == [3, 4]
+    assert writes.overlay_on_recorded(2, HELD, 0, [1], _place(160)) == [1]
+    assert writes.overlay_on_recorded(1, Table.COILS, 0, [1], _place(160)) == [1]

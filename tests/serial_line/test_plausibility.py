@@ -6,7 +6,12 @@ import pytest
 from hypothesis import given
 
 from mbtool.core import Direction
-from mbtool.serial_line.costs import is_counted, is_odd_request, is_odd_response, is_padded
+from mbtool.serial_line.costs import (
+    is_counted,
+    is_implausible_request,
+    is_implausible_response,
+    is_padded,
+)
 from tests.strategies import Message, messages
 
 
@@ -21,7 +26,7 @@ from tests.strategies import Message, messages
     ],
 )
 def test_odd_requests_are_recognised(pdu: str, odd: bool) -> None:
-    assert is_odd_request(bytes.fromhex(pdu)) is odd
+    assert is_implausible_request(bytes.fromhex(pdu)) is odd
 
 
 @pytest.mark.parametrize(
@@ -37,7 +42,7 @@ def test_odd_requests_are_recognised(pdu: str, odd: bool) -> None:
     ],
 )
 def test_odd_responses_are_recognised(pdu: str, odd: bool) -> None:
-    assert is_odd_response(bytes.fromhex(pdu)) is odd
+    assert is_implausible_response(bytes.fromhex(pdu)) is odd
 
 
 @pytest.mark.parametrize(

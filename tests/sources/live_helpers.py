@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Inbox, Item
 
 PATIENCE_S = 120.0
+MASTER_TIMEOUT_NS = 2_000_000_000
+"""The longest time in ns that a test's master waits for a response of a slave on this machine."""
 
 
 def take_until(inbox: Inbox, is_last: Callable[[Item], bool]) -> list[Item]:

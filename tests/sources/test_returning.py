@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Chunk, EventKind, LinkError, SerialFormat, SerialLink, WireEvent
-from mbtool.sources import live
+from mbtool.sources import returning
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.live import live_source
 from mbtool.sources.virtual_line import VirtualLine
@@ -31,7 +31,7 @@ FAST = SerialFormat(115200, 8, "N", 1)
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FIRST_LOOK_S", "ABSENT_LOOK_S", "LAST_LOOK_S"):
-        monkeypatch.setattr(live, name, 0.01)
+        monkeypatch.setattr(returning, name, 0.01)
 
 
 @contextmanager
@@ -120,7 +120,7 @@ def test_a_port_that_does_not_open_at_once_when_it_is_back_is_tried_again(tmp_pa
         plugged = stack.enter_context(ExitStack())
         plugged.enter_context(line(tmp_path, "tap"))
         source = stack.enter_context(live_source(link, inbox, returns=True))
-        assert isinstance(source, live.ReturningSource)
+        assert isinstance(source, returning.ReturningSource)
         first = source.current
         plugged.close()
         take_until(inbox, is_gap)

@@ -29,7 +29,7 @@ from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
 from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.tap import TapSource, _why
+from mbtool.sources.tap import TapSource, _unreachable_reason
 from tests.sources.live_helpers import PATIENCE_S, drain, start_program, take_until
 from tests.sources.tap_bench import ANY_PORT, Bench
 
@@ -300,7 +300,7 @@ def test_a_target_that_no_name_leads_to_is_an_event(host: str) -> None:
     ],
 )
 def test_why_a_target_cannot_be_reached_is_said_in_words(error: Exception, why: str) -> None:
-    assert _why(error) == why
+    assert _unreachable_reason(error) == why
 
 
 def test_a_listening_address_that_no_host_can_have_is_one_line(bench: Bench) -> None:

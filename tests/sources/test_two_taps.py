@@ -10,7 +10,8 @@ import pytest
 
 from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialFormat, SerialLink
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.live import TwoTapsSource, live_source
+from mbtool.sources.live import live_source
+from mbtool.sources.two_taps import TwoTapsSource
 from tests.sources.live_helpers import drain, take_until
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices import PointValue, load_profile
 from mbtool.values.chosen_values import MAX_CHOSEN, ChosenValues
-from mbtool.workflows.plot import _named
+from mbtool.workflows.plot import _parse_addresses
 from tests.values.test_values import seen
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ CH2 = PointValue(name="CH2 digital value", reference="RWr3", value=3, text="3", 
 def chosen(
     *texts: str, records: list[NamedTransaction], profile: Profile | None = None
 ) -> dict[str, list[float]]:
-    values = ChosenValues(texts, _named, lambda _: profile)
+    values = ChosenValues(texts, _parse_addresses, lambda _: profile)
     for one in records:
         values.add(one)
     return {one.name: [sample.value for sample in one.samples] for one in values.series.values()}
@@ -53,6 +53,6 @@ def test_nothing_else_is_followed() -> None:
 
 
 def test_the_number_of_values_is_bounded() -> None:
-    values = ChosenValues(["holding 0..999"], _named, lambda _: None)
+    values = ChosenValues(["holding 0..999"], _parse_addresses, lambda _: None)
     values.add(seen(1, 3, list(range(MAX_CHOSEN + 3)), address=0))
     assert (len(values.series), len(values.left_out)) == (MAX_CHOSEN, 3)

@@ -43,5 +43,5 @@ def test_only_the_newest_rows_wait_for_the_first_answer_of_all() -> None:
 def test_what_is_held_back_is_written_at_the_end() -> None:
     table = PolledValues([b"a", b"b"])
     assert table.lines(AT_NS, {b"a": [point("HR7", 3)]}) == ""
-    assert table.rest() == "time,HR7\n2026-03-17 09:14:03.014,3\n"
-    assert PolledValues([b"a"]).rest() == ""
+    assert table.take_held_lines() == "time,HR7\n2026-03-17 09:14:03.014,3\n"
+    assert PolledValues([b"a"]).take_held_lines() == ""

@@ -247,7 +247,7 @@ def test_damaged_answers_are_told_and_cost_no_waiting() -> None:
     (link,) = report(statistics)
     assert link.tally.damaged == 10
     assert link.load is not None
-    assert link.load.share(link.load.spent.missing_ns) == pytest.approx(0.41, abs=0.03)
+    assert link.load.share_of_time(link.load.spent.missing_ns) == pytest.approx(0.41, abs=0.03)
     lines = [line.text for line in statistics_lines(judged(statistics, [link]), width=None)]
     assert lines[1].startswith("! unit 2 never answers (10 requests): ")
     assert lines[2].startswith("! unit 3 answers all its requests with a wrong CRC: ")

@@ -130,16 +130,16 @@ def test_a_mark_is_taken_away_by_the_second_and_marks_are_limited(
     watched.add(request(0))
     watched.add(request(1))
     first, second = watched.whole.records
-    assert watched.mark(first)
-    assert not watched.mark(second)
-    assert watched.mark(first)
+    assert watched.toggle_mark(first)
+    assert not watched.toggle_mark(second)
+    assert watched.toggle_mark(first)
     assert watched.marked == {}
 
 
 def test_a_restart_keeps_the_filter_and_the_marks() -> None:
     watched = Watched()
     watched.add(request(0))
-    watched.mark(watched.whole.records[0])
+    watched.toggle_mark(watched.whole.records[0])
     watched.set_filter(lambda one: one.unit == 1)
     watched.restart()
     assert watched.whole.account.transactions == 0

@@ -15,6 +15,7 @@ from mbtool.slave.shells import TcpSlave
 from mbtool.sources.tap import TapSource
 from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import Scripted, echo
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +73,7 @@ class Bench:
 def ask(sniffer: Sniffer, pdu: bytes, count: int = 1, tap: int = 0) -> None:
     """Ask the slave behind a sniffer's tap, and get its answers."""
     taps = [source for source in sniffer.sources if isinstance(source, TapSource)]
-    with open_master(TcpLink(taps[tap].endpoint)) as master:
+    with open_master(TcpLink(taps[tap].endpoint), MASTER_TIMEOUT_NS) as master:
         for _ in range(count):
             assert master.ask(1, pdu) == pdu
 

@@ -16,6 +16,7 @@ from mbtool.sources.virtual_line import VirtualLine
 from mbtool.views.cells import transaction_text
 from mbtool.workflows.ask import Asker, Changes, PollTally
 from tests.slave.scripted import Scripted
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, REFUSED, VALUES, WRITE
 
@@ -41,7 +42,7 @@ def test_a_transaction_has_the_names_of_the_device() -> None:
     script = Scripted(lambda _unit, pdu: Response(VALUES if pdu == READ else REFUSED))
     with TcpSlave(TcpLink(ANY), script) as slave:
         link = TcpLink(slave.endpoint)
-        with open_master(link) as master:
+        with open_master(link, MASTER_TIMEOUT_NS) as master:
             asker = Asker(master, link, 1, FT1A)
             read, nothing = asker.ask(READ)
             refused, _ = asker.ask(bytes.fromhex("03 1000 0001"))
@@ -118,7 +119,7 @@ def _texts(
     changes = Changes(profile)
     with TcpSlave(TcpLink(ANY), Scripted(answers)) as slave:
         link = TcpLink(slave.endpoint)
-        with open_master(link) as master:
+        with open_master(link, MASTER_TIMEOUT_NS) as master:
             asker = Asker(master, link, 1, profile)
             changed = [changes.since_last(pdu, asker.ask(pdu)[0]) for _ in range(count)]
     return [None if one is None else transaction_text(one) for one in changed]
@@ -129,7 +130,7 @@ def test_the_tally_counts_by_outcome_with_the_latencies() -> None:
     assert tally.sentence() == "asked 0, answered 0, failed 0"
     with TcpSlave(TcpLink(ANY), Scripted(Answers("03 02 0001", "83 02"))) as slave:
         link = TcpLink(slave.endpoint)
-        with open_master(link) as master:
+        with open_master(link, MASTER_TIMEOUT_NS) as master:
             asker = Asker(master, link, 1, None)
             for _ in range(2):
                 tally.add(asker.ask(bytes.fromhex("03 0000 0001"))[0])
@@ -146,7 +147,7 @@ def test_a_broadcast_is_no_failure() -> None:
         slave, link = (SerialLink(port, FAST) for port in line.ports)
         with (
             SerialSlave(slave, Scripted(lambda _unit, _pdu: None)),
-            open_master(link) as master,
+            open_master(link, MASTER_TIMEOUT_NS) as master,
         ):
             tally.add(Asker(master, link, 0, None).ask(WRITE)[0])
     assert tally.sentence() == "asked 1, answered 1, failed 0"
@@ -157,7 +158,7 @@ def test_an_answer_of_another_length_is_shown_whole() -> None:
     lengths = iter((b"\x03\x04\x00\x01\x00\x02", b"\x03\x02\x00\x09"))
     with TcpSlave(TcpLink(ANY), Scripted(lambda unit, pdu: Response(next(lengths)))) as slave:
         link = TcpLink(slave.endpoint)
-        with open_master(link) as master:
+        with open_master(link, MASTER_TIMEOUT_NS) as master:
             asker = Asker(master, link, 1, None)
             first, second = (asker.ask(READ)[0] for _ in range(2))
     second = msgspec.structs.replace(second, outcome=first.outcome)

@@ -139,7 +139,7 @@ def results(
     else:
         slave = stack.enter_context(device_slave(profile, link, UNIT, fault_file=faults))
         link = parse_link(slave.place, "the slave")
-    known = profile.in_mode(transport_of(link))
+    known = profile.with_limits_of(transport_of(link))
     spans = [parse_span(text, [known]) for text in writes]
     with open_wire(link, timeout_s * 1_000_000_000, 0) as wire:
         work = Conformance(known, link, wire, UNIT)
@@ -154,7 +154,7 @@ def test_the_embedded_slave_passes_with_rtu_over_tcp(stack: ExitStack) -> None:
     )
     link = parse_link(slave.place, "the slave")
     with open_wire(link, 3_000_000_000, 0) as wire:
-        known = profile.in_mode(Transport.RTU_TCP)
+        known = profile.with_limits_of(Transport.RTU_TCP)
         cases = list(Conformance(known, link, wire, UNIT).run())
     assert len(cases) > 40
     assert failed(cases) == []

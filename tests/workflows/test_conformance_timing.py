@@ -331,4 +331,4 @@ def test_keep_alive_probes_without_an_answer_are_told(
 
     monkeypatch.setattr("mbtool.master.wire.socket.socket.recv", no_answer)
     with pytest.raises(LinkError, match="no answer to the keep-alive probes of TCP"):
-        wire.rest_silent(300_000_000)
+        wire.stay_silent(300_000_000)

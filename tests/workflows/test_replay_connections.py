@@ -15,6 +15,7 @@ from mbtool.workflows.diff import DiffOptions, compare
 from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
 from mbtool.workflows.shared.reading import ReadingOptions
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.fa3_session import MODEL, READ_X9, session
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def _loop(path: Path, *, answers_only: bool = False, rate: Fraction | None = Fra
     """Play a session as the slave and as the master, the two against each other."""
     slave = SlaveRun(str(path), SlaveOptions(answers_only=answers_only, rate=rate))
     master = MasterRun(str(path), MasterOptions(rate=rate))
-    with slave.on(ANYWHERE).shell as shell:
+    with slave.create_slave(ANYWHERE).shell as shell:
         assert isinstance(shell, TcpSlave)
         return master.play(TcpLink(shell.endpoint))
 
@@ -71,7 +72,7 @@ def test_a_master_may_play_requests_only(tmp_path: Path) -> None:
     path = _file(tmp_path / "a.pcap", session())
     slave = SlaveRun(str(path), SlaveOptions(answers_only=True, rate=None))
     run = MasterRun(str(path), MasterOptions(answers_only=True, rate=None))
-    with slave.on(ANYWHERE).shell as shell:
+    with slave.create_slave(ANYWHERE).shell as shell:
         assert isinstance(shell, TcpSlave)
         report = run.play(TcpLink(shell.endpoint))
     assert (report.differences, report.connections, report.requests) == ([], 0, 7)
@@ -83,9 +84,9 @@ def test_a_module_that_answers_any_unit_does_so_when_it_is_played(
 ) -> None:
     path = _file(tmp_path / "a.pcap", session())
     run = SlaveRun(str(path), SlaveOptions(reading=FA3, rate=None))
-    with run.on(ANYWHERE).shell as shell:
+    with run.create_slave(ANYWHERE).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with open_master(TcpLink(shell.endpoint)) as master:
+        with open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             assert master.ask(unit, MODEL[0]) == answer
             assert master.ask(unit, READ_X9[0]) == READ_X9[1]
 

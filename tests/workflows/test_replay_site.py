@@ -11,6 +11,7 @@ from mbtool.master.links import open_master
 from mbtool.replay import AnsweredFrom, MatchStrategy, TimeRange
 from mbtool.workflows.replay_site import PlayedSite, SiteRun
 from mbtool.workflows.replay_slave import SlaveOptions
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.evidence import polling_log
 from tests.workflows.site import HOSTS, READ_INPUTS, READ_THREE, exchanges, site_capture
 
@@ -127,7 +128,7 @@ def test_every_slave_answers_as_it_did_and_its_answers_are_counted(site: str) ->
     played = SiteRun(site, ["all=tcp:127.0.0.0/24:0"], SlaveOptions(rate=None)).play()
     with played.shells:
         for device, host in enumerate(HOSTS):
-            with open_master(_link(played, host)) as master:
+            with open_master(_link(played, host), MASTER_TIMEOUT_NS) as master:
                 for request, response in exchanges(device):
                     assert master.ask(1, request) == response
     counts = {player.name: dict(slave.counts()) for player, slave in played.played}
@@ -137,7 +138,7 @@ def test_every_slave_answers_as_it_did_and_its_answers_are_counted(site: str) ->
 def test_answers_from_elsewhere_are_counted_as_such(site: str) -> None:
     on = ["192.168.1.102=tcp:127.0.0.1:0"]
     played = SiteRun(site, on, SlaveOptions(rate=None)).play()
-    with played.shells, open_master(_link(played, "192.168.1.102")) as master:
+    with played.shells, open_master(_link(played, "192.168.1.102"), MASTER_TIMEOUT_NS) as master:
         assert master.ask(1, bytes.fromhex("03 0000 0001")) == bytes.fromhex("03 02 0001")
         assert master.ask(1, bytes.fromhex("03 7000 0001")) == bytes.fromhex("83 02")
         assert master.ask(1, READ_INPUTS) == bytes.fromhex("04 04 000A 0000")
@@ -151,7 +152,7 @@ def test_the_clocks_of_all_start_with_the_first_request_to_any(site: str) -> Non
     options = SlaveOptions(match=MatchStrategy.TIME)
     played = SiteRun(site, ["all=tcp:127.0.0.0/24:0"], options).play()
     assert all(slave.progress().is_waiting for _, slave in played.played)
-    with played.shells, open_master(_link(played, HOSTS[3])) as master:
+    with played.shells, open_master(_link(played, HOSTS[3]), MASTER_TIMEOUT_NS) as master:
         assert master.ask(1, READ_THREE) is not None
     assert not any(slave.progress().is_waiting for _, slave in played.played)
 
@@ -165,4 +166,4 @@ def test_if_one_link_cannot_be_opened_none_stays_open(site: str) -> None:
         with pytest.raises(LinkError, match="in use"), second.shells:
             pass
         with pytest.raises(LinkError, match="cannot be reached"):
-            open_master(_link(second, "192.168.1.101"))
+            open_master(_link(second, "192.168.1.101"), MASTER_TIMEOUT_NS)

@@ -19,6 +19,7 @@ from mbtool.slave.shells import TcpSlave
 from mbtool.workflows.replay_slave import MAX_LATENCY_NS, PlayedSlave, SlaveOptions, SlaveRun
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.packets.building import MASTER, End, Talk, pcap
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.evidence import (
     READ,
     VALUES,
@@ -65,9 +66,9 @@ def test_a_recording_answers_as_its_slave_did(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(2))
     run = SlaveRun(str(path), SlaveOptions(on_miss=OnMiss.EXCEPTION, rate=None))
-    shell = run.on(ANYWHERE).shell
+    shell = run.create_slave(ANYWHERE).shell
     assert isinstance(shell, TcpSlave)
-    with shell, open_master(TcpLink(shell.endpoint)) as master:
+    with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
         assert master.ask(1, READ) == VALUES
@@ -158,7 +159,7 @@ def test_a_recording_cannot_be_played_on_an_interface(tmp_path: Path) -> None:
     path.write_bytes(capture_file())
     run = SlaveRun(str(path), SlaveOptions())
     with pytest.raises(UsageError, match="a slave needs rtu:PORT"):
-        run.on(parse_link("net:eth0"))
+        run.create_slave(parse_link("net:eth0"))
 
 
 def test_the_bytes_of_a_line_are_a_recording_like_any_other(tmp_path: Path) -> None:
@@ -175,7 +176,7 @@ def test_the_bytes_of_a_line_are_a_recording_like_any_other(tmp_path: Path) -> N
 
 
 def _slave(path: Path, **options: object) -> PlayedSlave:
-    return SlaveRun(str(path), SlaveOptions(**options)).on(ANYWHERE)  # type: ignore[arg-type]
+    return SlaveRun(str(path), SlaveOptions(**options)).create_slave(ANYWHERE)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -227,12 +228,12 @@ def test_what_the_recording_does_not_know_is_the_profiles() -> None:
     path = OURS / "fa3-at1m8x-setup.mcap"
     with _slave(path, rate=None).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with open_master(TcpLink(shell.endpoint)) as master:
+        with open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             assert master.ask(0, bytes.fromhex("03 00F2 0001")) == bytes.fromhex("03 02 0258")
             assert master.ask(0, bytes.fromhex("03 5000 0001")) == bytes.fromhex("83 02")
     with _slave(path, rate=None, match=MatchStrategy.KEY).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with open_master(TcpLink(shell.endpoint)) as master:
+        with open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             assert master.ask(0, bytes.fromhex("03 00F2 0001")) == bytes.fromhex("83 02")
 
 
@@ -241,7 +242,7 @@ def test_faults_stand_before_the_recording(capture: Path, tmp_path: Path) -> Non
     faults.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
     with _slave(capture, fault_file=faults, rate=None).shell as shell:
         assert isinstance(shell, TcpSlave)
-        with open_master(TcpLink(shell.endpoint)) as master:
+        with open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             assert [master.ask(1, READ) for _ in range(3)] == [VALUES, b"\x83\x06", VALUES]
 
 
@@ -260,7 +261,7 @@ def test_a_wrong_crc_of_the_recording_comes_again_where_it_is_wanted() -> None:
     link = parse_link("rtu+tcp:127.0.0.1:0")
     for with_damage, expected in ((True, [wrong]), (False, [])):
         run = SlaveRun(str(path), SlaveOptions(with_damage=with_damage, rate=None))
-        slave = run.on(link)
+        slave = run.create_slave(link)
         answers = [slave.respond(1, READ, 0) for _ in range(8)]
         damaged = [
             wire_pieces(answer, Transport.RTU_TCP, 1)[0][1]

@@ -63,7 +63,7 @@ class Units:
 
 def areas_of(units: Units, unit: int, last: int, *, every: bool = False) -> list[FoundArea]:
     work = Scan(units.ask, ScanState(link="line"), is_tcp=False, every=every)
-    assert list(work.registers(unit, range(last + 1)))
+    assert list(work.scan_registers(unit, range(last + 1)))
     return work.state.areas
 
 
@@ -151,11 +151,11 @@ def test_a_tcp_device_that_answers_for_every_unit_is_one() -> None:
 def test_a_scan_that_goes_on_asks_nothing_twice() -> None:
     answers = {2: registers(set(range(300)))}
     first, state = Units(answers), ScanState(link="line")
-    blocks = Scan(first.ask, state, is_tcp=False).registers(2, range(1000))
+    blocks = Scan(first.ask, state, is_tcp=False).scan_registers(2, range(1000))
     for _ in range(3):
         next(blocks)
     second = Units(answers)
-    list(Scan(second.ask, state, is_tcp=False).registers(2, range(1000)))
+    list(Scan(second.ask, state, is_tcp=False).scan_registers(2, range(1000)))
     assert not {pdu for _, pdu in first.asked} & {pdu for _, pdu in second.asked if pdu[0] == 3}
     assert [(one.first, one.last) for one in state.areas] == [(0, 299)]
     assert [pdu.hex(" ") for pdu in final_reads(state, 2)] == [
@@ -176,7 +176,7 @@ def test_a_unit_that_answers_no_more_is_left() -> None:
 
     units = Units({2: answer})
     work = Scan(units.ask, ScanState(link="line"), is_tcp=False)
-    list(work.registers(2, range(10_000)))
+    list(work.scan_registers(2, range(10_000)))
     assert len(units.asked) < 30
     assert "unit 2 answers no more" in work.state.remarks[0]
 
@@ -218,7 +218,7 @@ def test_a_device_that_refuses_addresses_as_wrong_values_is_read_in_whole_blocks
     units = Units({5: answer, 6: registers(set(range(500)))})
     work = Scan(units.ask, ScanState(link="line"), is_tcp=False)
     for unit in (5, 6):
-        list(work.registers(unit, range(2000)))
+        list(work.scan_registers(unit, range(2000)))
     assert [(one.unit, one.first, one.last) for one in work.state.areas] == [
         (5, 0, 199),
         (6, 0, 499),
@@ -230,7 +230,7 @@ def test_a_device_that_refuses_addresses_as_wrong_values_is_read_in_whole_blocks
 def test_a_unit_that_answers_each_request_with_a_failure_is_left_soon() -> None:
     units = Units({4: lambda pdu: bytes([pdu[0] | 0x80, 4])})
     work = Scan(units.ask, ScanState(link="tcp"), is_tcp=True)
-    list(work.registers(4, range(10_000)))
+    list(work.scan_registers(4, range(10_000)))
     assert len(units.asked) < 120
     assert work.state.areas == []
 
@@ -265,5 +265,5 @@ def test_a_block_that_is_too_long_for_the_pauses_of_another_master_is_halved() -
         return units.ask(unit, pdu)
 
     work = Scan(ask, ScanState(link="line"), is_tcp=False)
-    list(work.registers(7, range(1000)))
+    list(work.scan_registers(7, range(1000)))
     assert [(one.first, one.last) for one in work.state.areas] == [(0, 16), (93, 139)]

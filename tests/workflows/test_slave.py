@@ -17,6 +17,7 @@ from mbtool.slave.families import make_device
 from mbtool.slave.shells import SerialSlave, TcpSlave
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 from mbtool.workflows.slave import Station, device_slave
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,7 +36,7 @@ def test_a_device_answers_as_its_unit_with_its_start_values(tmp_path: Path) -> N
     image.write_text("HR400001 = 4660\n")
     shell = device_slave(TOUCH, LOOPBACK, 7, image)
     assert isinstance(shell, TcpSlave)
-    with shell, open_master(TcpLink(shell.endpoint)) as master:
+    with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
         assert master.ask(7, READ) == bytes.fromhex("03 02 1234")
 
 
@@ -96,7 +97,7 @@ def test_nonvolatile_registers_survive_a_restart(tmp_path: Path) -> None:
     for request in (write, read):
         shell = device_slave(module, LOOPBACK, state_file=state)
         assert isinstance(shell, TcpSlave)
-        with shell, open_master(TcpLink(shell.endpoint)) as master:
+        with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
             answer = master.ask(0, request)
     assert answer == bytes.fromhex("03 02 0007")
 
@@ -114,7 +115,7 @@ def test_requests_and_responses_reach_the_monitor() -> None:
     monitor = SlaveMonitor(TOUCH, LOOPBACK)
     shell = device_slave(TOUCH, LOOPBACK, 7, monitor=monitor)
     assert isinstance(shell, TcpSlave)
-    with shell, open_master(TcpLink(shell.endpoint)) as master:
+    with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
         master.ask(7, READ)
     (transaction,) = monitor.records()
     assert isinstance(transaction, NamedTransaction)
@@ -185,7 +186,7 @@ def test_values_that_move_and_faults_are_played(tmp_path: Path) -> None:
     fault.write_text('[[faults]]\nkind = "exception"\ncode = 6\nnth = 2\ntimes = 1\n')
     shell = device_slave(TOUCH, LOOPBACK, 1, image, fault_file=fault)
     assert isinstance(shell, TcpSlave)
-    with shell, open_master(TcpLink(shell.endpoint)) as master:
+    with shell, open_master(TcpLink(shell.endpoint), MASTER_TIMEOUT_NS) as master:
         answers = [master.ask(1, READ) for _ in range(3)]
     assert answers == [bytes.fromhex(each) for each in ("03 02 0007", "83 06", "03 02 0007")]
 

@@ -50,7 +50,7 @@ def test_marked_transactions_are_saved_from_the_evidence(
     model = watched(source)
     chosen = [one for one in model.whole.records if one.number in (2, 4)]
     for one in chosen:
-        model.mark(one)
+        model.toggle_mark(one)
     saver = EvidenceSaver([source])
     assert saver.what(model, is_filtered=False) == "2 marked transactions"
     out = str(tmp_path / f"part{suffix}")
@@ -86,9 +86,9 @@ def test_without_a_log_the_frames_become_evidence_that_decodes_to_the_same(
     assert saver.what(model, is_filtered=False) == "the last transactions"
     assert saver.what(model, is_filtered=True) == "the last ones that pass"
     first = next(one for one in model.whole.records if one.number == 3)
-    model.mark(first)
+    model.toggle_mark(first)
     assert saver.what(model, is_filtered=False) == "1 marked transaction"
-    model.mark(first)
+    model.toggle_mark(first)
     out = str(tmp_path / f"part{suffix}")
     saver.job(model, is_filtered=False, out=out)()
     assert frames(read(out, raw=True)) == frames(read(source))
@@ -112,7 +112,7 @@ def test_marked_requests_keep_their_damaged_answers_and_no_fault_of_others(
     asked = [one for one in model.whole.records if not isinstance(one.record, WireEvent)]
     damaged = [one for one in asked if one.order in blamed][1:3]
     for kept in [*damaged, asked[-8]]:
-        model.mark(kept)
+        model.toggle_mark(kept)
     chosen = [one.record for one in model.marked.values() if not isinstance(one.record, WireEvent)]
     saver.job(model, is_filtered=False, out=out)()
     for raw in (False, True):

@@ -56,12 +56,12 @@ class WatchView:
     pause_s: float = 0
     """The least time between two drawings in seconds; more than 0 if its rows take long to make."""
     notes: Callable[[Sequence[Any]], Sequence[str]] = lambda _: ()
-    """Makes from the rows a text on what the view does not show, in several lengths, the longest
-    first; none if there is nothing to say."""
+    """Makes from the rows a text that says what the view leaves out. It returns the text in several
+    lengths, the longest first; no text if the view shows all."""
 
 
 _MOST_ROWS = 50
-"""A section of the view `bus` has at most so many rows."""
+"""A section of the view `bus` shows at most this many rows."""
 _MORE_POLLS, _ALL_POLLS = (" more poll", " more polls"), ": key 1 lists all"
 
 

@@ -240,7 +240,7 @@ class Fa3Rules:
         elif by_module and not is_allowed:
             done = "refuses it" if event.source == third.event.source else f"drops {event.source}"
             silent = f"{third.silent} was silent longest"
-            text = f"{_beside(third)}; the module {done}, although {silent}"
+            text = f"{_connections_text(third)}; the module {done}, although {silent}"
             yield event_finding("FA3-X9", third.event, text)
 
     def _goes_on(
@@ -253,7 +253,9 @@ class Fa3Rules:
         is_silent = third is not None and source == third.silent
         if third is not None and is_silent and at_ns > third.event.ts_ns + GOES_ON_NS:
             module.third = None
-            text = f"{_beside(third)}; the module goes on with all, also with {third.silent}"
+            text = (
+                f"{_connections_text(third)}; the module goes on with all, also with {third.silent}"
+            )
             yield event_finding("FA3-X9", third.event, text)
         text = f"answers {request_text(transaction)} on the connection of the remote reset"
         finding = transaction_finding("FA3-X9", transaction, text)
@@ -311,12 +313,12 @@ def _with_time(finding: Finding, after_ns: int) -> Finding:
     return replace(finding, message=finding.message.replace("{after}", f"{after_ns / 1e9:.1f} s"))
 
 
-def _beside(third: _Third) -> str:
+def _connections_text(third: _Third) -> str:
     return f"{third.event.source} connects beside {' and '.join(third.others)}"
 
 
 def _too_many(third: _Third, what: str) -> Finding:
-    return event_finding("FA3-X2", third.event, f"{_beside(third)}; {what}")
+    return event_finding("FA3-X2", third.event, f"{_connections_text(third)}; {what}")
 
 
 def _timer(module: _Module, profile: Profile, address: int) -> int:

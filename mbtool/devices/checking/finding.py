@@ -32,7 +32,7 @@ class Finding:
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     count: int = 1
-    """Number of cases that the finding summarises."""
+    """The number of times that the rule was broken like this; the finding stands for all."""
 
     file: str | None = None
     """The capture file of the first case, as the user named it; None if it is not known."""
@@ -71,7 +71,7 @@ def transaction_finding(
         device=transaction.device,
         file=transaction.file,
         packets=packets_of(transaction),
-        offsets=_known(transaction.request_offset, transaction.response_offset),
+        offsets=_without_none(transaction.request_offset, transaction.response_offset),
     )
 
 
@@ -80,10 +80,10 @@ def packets_of(transaction: NamedTransaction) -> tuple[int, ...]:
     request, response = transaction.request_packet, transaction.response_packet
     if request is not None and response is not None:
         return request, response  # The usual case.
-    return _known(request, response)
+    return _without_none(request, response)
 
 
-def _known(*numbers: int | None) -> tuple[int, ...]:
+def _without_none(*numbers: int | None) -> tuple[int, ...]:
     return tuple(number for number in numbers if number is not None)
 
 

@@ -1,7 +1,7 @@
 """The rules for serial lines: silences, damaged bytes, requests that come too soon, broadcasts."""
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
-# RTU-101..104      wrong silences; silences.py finds them
+# RTU-101..104      wrong silences; LineSilences finds them
 # RTU-202, RTU-203  unreadable bytes, damaged characters
 # RTU-301, RTU-302  a request comes too soon after another frame or a broadcast; not checked if
 #                   RTU-104 says that the times are useless
@@ -295,8 +295,8 @@ TURNAROUND_NS = 100_000_000
 """The shortest silence, in ns, that must follow a broadcast. The standard gives 100 to 200 ms as
 the usual turnaround delay."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
-"""A response of the same function at most so many ns after a broadcast counts as a response to
-it."""
+"""A response with the function of a broadcast counts as a response to it if it comes at most this
+long (ns) after it."""
 
 
 @dataclass(slots=True)

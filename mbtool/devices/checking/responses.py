@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
+from mbtool.devices.checking.quiet_run import asked_number
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
@@ -51,7 +52,7 @@ PATIENCE_NS = 5_000_000_000
 response that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
-"""If the capture ends less than so many ns after a request, the response may have come after the
+"""If the capture ends less than this (ns) after a request, the response may have come after the
 capture's end."""
 
 USUAL = 0.25
@@ -173,15 +174,12 @@ class ResponseRules:
         if pending:
             if not all(self._has_responded[link, unit][0] for link, unit, _ in pending):
                 return False
-            if not {(link, unit, pdu[:3]) for link, unit, pdu in pending}.isdisjoint(
-                (
-                    poll.link,
-                    poll.unit,
-                    poll.function.to_bytes(1, "big") + poll.address.to_bytes(2, "big"),
-                )
-                for poll in run.polls
-            ):
-                return False
+            rows = zip(run.rows.ends, run.rows.asked, strict=True)
+            asked = {(link, number >> 16) for (link, _, _), number in rows}
+            for link, unit, pdu in pending:
+                address = int.from_bytes(pdu[1:3], "big")
+                if (link, asked_number(unit, pdu[0], address, 0) >> 16) in asked:
+                    return False
         connections = [(one.link, one.source) for one in run.connections]
         return self._states.would_keep(connections) and self._has_responded.has_room(units)
 
@@ -204,8 +202,8 @@ class ResponseRules:
                 state.since_ns = one.first_ns
             state.has_request, state.is_damaged = True, False
             state.last_request_ns = max(state.last_request_ns, one.last_request_ns)
-        for poll in run.polls:
-            self._has_responded[poll.link, poll.unit][0] = True
+        for form in sorted(run.forms, key=lambda one: one.places[-1]):
+            self._has_responded[form.like.link, form.like.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Note lost or damaged bytes. Yields findings about requests that waited too long."""
@@ -377,7 +375,7 @@ def _request_bytes(transaction: NamedTransaction) -> bytes:
 # sliding_window.py).
 
 _SHOWN = 16
-"""At most so many bytes of a frame are shown."""
+"""A text shows at most this many bytes of a frame."""
 
 
 class DamagedFrames:
@@ -391,11 +389,11 @@ class DamagedFrames:
         """Take an event of the kind BAD_CHECK."""
         self._answers.note(event)
         if not self._waiting.has_room([event.link]):
-            yield from map(_of_no_unit, self._waiting.pop_oldest())
+            yield from map(_finding_without_unit, self._waiting.pop_oldest())
         waiting = self._waiting[event.link]
         waiting.append(event)
         if len(waiting) > MAX_FRAMES:
-            yield _of_no_unit(waiting.popleft())
+            yield _finding_without_unit(waiting.popleft())
 
     def transaction(self, one: NamedTransaction) -> Iterator[Finding]:
         """Take the next transaction."""
@@ -405,7 +403,7 @@ class DamagedFrames:
         frame_ns = self._answers.frame_of(one)
         past_ns = one.start_ns if one.transport.is_serial else frame_ns or 0
         while waiting and waiting[0].ts_ns < past_ns:
-            yield _of_no_unit(waiting.popleft())
+            yield _finding_without_unit(waiting.popleft())
         if waiting and waiting[0].ts_ns == frame_ns:
             event = waiting.popleft()
             text = f"unit {one.unit}'s answer to {request_text(one)}: {_text(event)}"
@@ -416,10 +414,10 @@ class DamagedFrames:
     def close(self) -> Iterator[Finding]:
         """Give the findings about frames that still wait at the end of the capture."""
         for waiting in self._waiting.values():
-            yield from map(_of_no_unit, waiting)
+            yield from map(_finding_without_unit, waiting)
 
 
-def _of_no_unit(event: WireEvent) -> Finding:
+def _finding_without_unit(event: WireEvent) -> Finding:
     return event_finding("RTU-201", event, f"unit unknown: {_text(event)}")
 
 

@@ -63,7 +63,7 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
     device has no point. `file` is the name of the file that was read, for messages.
     """
     remarks = list(device.remarks)
-    points = _apart(device.points, remarks)
+    points = _without_overlaps(device.points, remarks)
     if not points:
         raise UsageError(f"{file}: has no value that a profile can have")
     areas, owned = _areas(points, device.span)
@@ -91,7 +91,7 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
     return ImportedList(profile, text, tuple(remarks))
 
 
-def _apart(points: Sequence[PlacedPoint], remarks: list[str]) -> list[PlacedPoint]:
+def _without_overlaps(points: Sequence[PlacedPoint], remarks: list[str]) -> list[PlacedPoint]:
     """Sort the points by table and address, leave out overlapping ones, and make names unique.
 
     Adds a sentence to `remarks` for each point that is left out.
@@ -115,10 +115,6 @@ def _apart(points: Sequence[PlacedPoint], remarks: list[str]) -> list[PlacedPoin
         ends[point.table] = point.address + point.words
         kept.append(PlacedPoint(replace(point, name=name), one.access))
     return kept
-
-
-def _place(one: PlacedPoint) -> tuple[int, int]:
-    return _TABLES.index(one.point.table), one.point.address
 
 
 def _areas(points: Sequence[PlacedPoint], span: range | None) -> tuple[list[Area], list[Point]]:

@@ -206,13 +206,13 @@ def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None
     # of the number of parts that they give, the greatest first.
     for parts in sorted(splits, key=len, reverse=True):
         pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
-        found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}
+        found = {_parse_whole(one["number"]): one["text"] for one in pairs if one is not None}
         if found and len(found) == len(pairs):
             return found
     return None
 
 
-def _whole(digits: str) -> int:
+def _parse_whole(digits: str) -> int:
     return int(digits, 16 if digits[:2].lower() == "0x" else 10)
 
 

@@ -180,7 +180,7 @@ class _EntityReader:
     def _read_bit(self, name: str, values: dict[str, Any]) -> None:
         table = _table(values.get("input_type", "coil"))
         kind = PointType.BIT if table.is_bits else PointType.UINT16
-        count = 1 + _whole(values.get("virtual_count", values.get("slave_count", 0)))
+        count = 1 + _checked_whole(values.get("virtual_count", values.get("slave_count", 0)))
         point = Point(name=name, table=table, address=_address(values, "address"), type=kind)
         self._add_series(point, count)
 
@@ -199,9 +199,9 @@ class _EntityReader:
         )
         if point.table.is_bits:
             raise ValueError("reads registers from a table of bits")
-        point = _told(point, values)
+        point = _with_entry_keys(point, values)
         if entry.platform == "sensors":
-            count = 1 + _whole(values.get("virtual_count", values.get("slave_count", 0)))
+            count = 1 + _checked_whole(values.get("virtual_count", values.get("slave_count", 0)))
             self._add_series(point, count)
             return
         self.points.append(PlacedPoint(point, Access.READ))
@@ -225,7 +225,7 @@ class _EntityReader:
             self.points.append(PlacedPoint(_replaced(point, fields), Access.READ))
 
 
-def _told(point: Point, values: dict[str, Any]) -> Point:
+def _with_entry_keys(point: Point, values: dict[str, Any]) -> Point:
     """Return the point with the scale, unit, word order and byte order in the keys of its entry,
     `values`.
 
@@ -244,7 +244,7 @@ def _told(point: Point, values: dict[str, Any]) -> Point:
             raise ValueError("has the scale 0")
         fields |= {"scale": scale, "offset": float(values.get("offset", 0))}
         fields["unit"] = _text(values.get("unit_of_measurement"))
-        fields["decimals"] = None if precision is None else _whole(precision, 15)
+        fields["decimals"] = None if precision is None else _checked_whole(precision, 15)
     if "nan_value" in values and point.type.whole_numbers is not None:
         fields["no_value"] = _no_value(values["nan_value"], point.type.whole_numbers)
     return _replaced(point, fields)
@@ -267,7 +267,7 @@ def _address(values: dict[str, Any], key: str) -> int:
     return address
 
 
-def _whole(number: object, greatest: int = MAX_VALUES) -> int:
+def _checked_whole(number: object, greatest: int = MAX_VALUES) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= greatest:
         raise ValueError(f"has {number!r} where a number up to {greatest} is right")
     return number
@@ -293,7 +293,7 @@ def _no_value(told: object, allowed: range) -> int:
 
 
 def _length(values: dict[str, Any]) -> int:
-    length = _whole(values.get("count", 0), READ_LIMIT)
+    length = _checked_whole(values.get("count", 0), READ_LIMIT)
     if not length:
         raise ValueError("is a text without a count of registers")
     return length

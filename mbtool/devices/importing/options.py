@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.importing.columns import SYNONYMS, Meaning
 from mbtool.devices.point_types import WordOrder
 from mbtool.modbus.tables import Table
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
 # The class below collects the messages of an import for the user: guesses, and rows that cannot be
 # read.
 
 MAX_PROBLEMS = 100
-"""At most so many problems get a line of their own. One more line names the rows of all others."""
+"""At most this many problems get a line of their own. One more line names the rows of all
+others."""
 
 _SHOWN = 40
-"""A message about a problem shows at most so many characters of the cell."""
+"""A message about a problem shows at most this many characters of the cell."""
 
 
 class ImportReport:

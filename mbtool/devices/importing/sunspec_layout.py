@@ -15,9 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec.structs import replace
@@ -27,9 +27,6 @@ from mbtool.devices.importing.assembling import PlacedPoint
 from mbtool.devices.model import Access, Point
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import ADDRESSES, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 MARK = "SunS"
 MAX_DEPTH = 8
@@ -189,7 +186,7 @@ class ModelLayout:
             count = inner.count
             if isinstance(count, str) or count <= 0:
                 count = place.repeat
-                self._tell(place.repeat_told, f"{prefix}{inner.name}")
+                self._note_remark(place.repeat_told, f"{prefix}{inner.name}")
             for number in range(1, count + 1):
                 self._add_group(place, inner, (*scopes, f"{prefix}{inner.name}[{number}]."))
 
@@ -203,7 +200,7 @@ class ModelLayout:
             kind = PointType.HEX16
         if kind is None:
             if one.type != _PAD:
-                self._tell(f"left out, as a profile has no type {one.type}", name)
+                self._note_remark(f"left out, as a profile has no type {one.type}", name)
             return
         words = kind.words or one.size
         if words != one.size:
@@ -211,7 +208,7 @@ class ModelLayout:
                 f"{file}: {one.name}: {one.size} registers, but {one.type} has {words}"
             )
         if self.at > self._end:
-            self._tell("left out, as the device's model is shorter", name)
+            self._note_remark("left out, as the device's model is shorter", name)
             return
         if one.type == _SCALE_FACTOR:
             self._factors.add(name)
@@ -228,7 +225,7 @@ class ModelLayout:
         elif one.type.startswith("enum"):
             texts = symbols
         elif symbols:
-            self._tell("without the names of their bits, as they have more than 16", name)
+            self._note_remark("without the names of their bits, as they have more than 16", name)
         scale = 1.0
         if isinstance(one.sf, int):
             scale = float(Decimal(10) ** max(min(one.sf, 10), -10))
@@ -240,13 +237,13 @@ class ModelLayout:
             address=address,
             type=kind,
             length=one.size if kind is PointType.STRING else None,
-            unit=_clean(one.units) if is_number else None,
+            unit=_one_line_without_braces(one.units) if is_number else None,
             scale=scale if is_number else 1.0,
             no_value=NO_VALUES.get(one.type),
-            texts={number: _clean(text) or "" for number, text in texts.items()},
-            bits={bit: _clean(text) or "" for bit, text in sorted(bits.items())},
+            texts={number: _one_line_without_braces(text) or "" for number, text in texts.items()},
+            bits={bit: _one_line_without_braces(text) or "" for bit, text in sorted(bits.items())},
             default=default,
-            note=_clean(one.label or one.desc),
+            note=_one_line_without_braces(one.label or one.desc),
         )
 
     def _scale(self, points: Sequence[_Unscaled]) -> None:
@@ -259,12 +256,12 @@ class ModelLayout:
             factor = next((name for name in names if name in self._factors), None)
             placed = self.points[one.index]
             if factor is None:
-                self._tell("not scaled, as the scale factor is not there", placed.point.name)
+                self._note_remark("not scaled, as the scale factor is not there", placed.point.name)
                 continue
             point = replace(placed.point, scale_from=factor)
             self.points[one.index] = PlacedPoint(point, placed.access)
 
-    def _tell(self, what: str, name: str) -> None:
+    def _note_remark(self, what: str, name: str) -> None:
         names = self._told.setdefault(what, [])
         if name not in names:
             names.append(name)
@@ -285,7 +282,7 @@ class _Place:
         return f"the device tells how often a group is there, taken as {self.repeat} (--repeat)"
 
 
-def _clean(text: str | None) -> str | None:
+def _one_line_without_braces(text: str | None) -> str | None:
     """A text on one line, with parentheses in place of braces; None if it is empty.
 
     A brace in a point's name would begin a placeholder such as {n}.

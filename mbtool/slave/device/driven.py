@@ -10,13 +10,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.slave.device.behaviour import Behaviour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.response import Response
     from mbtool.slave.device.image_file import Driven
     from mbtool.slave.device.responder import DeviceResponder
@@ -40,12 +39,12 @@ class DrivenDevice:
             self._begin_ns = now_ns
             self._move(now_ns)
         elif now_ns - self._last_ns >= RESOLUTION_NS:
-            for moment_ns in self._between(now_ns) if self._averages else ():
+            for moment_ns in self._moments_until(now_ns) if self._averages else ():
                 self._move(moment_ns)
             self._move(now_ns)
         return self._device.respond(unit, pdu, now_ns)
 
-    def _between(self, now_ns: int) -> Sequence[int]:
+    def _moments_until(self, now_ns: int) -> Sequence[int]:
         """Return moments in ns between the last computation and `now_ns`, at equal distances.
 
         They are at least RESOLUTION_NS apart. There are fewer than MAX_BETWEEN, and none if less

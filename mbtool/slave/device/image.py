@@ -11,13 +11,12 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Self
 
 from mbtool.modbus.tables import ADDRESSES, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices.model import Point, Profile
 
 _DIGITS = bytes.maketrans(b"\x00\x01", b"01")
@@ -78,7 +77,7 @@ class RegisterImage:
         else:
             self.blocks.set(point.table, point.block, address - point.block, values)
 
-    def share(self, table: Table, with_table: Table) -> None:
+    def share_contents(self, table: Table, with_table: Table) -> None:
         """Let `table` and `with_table` have the same contents from now on, at each address.
 
         An address starts with its value in `with_table`; if that is 0, with its value in `table`.
@@ -91,7 +90,7 @@ class RegisterImage:
             if any(ours[at : at + width]) and not any(theirs[at : at + width]):
                 theirs[at : at + width] = ours[at : at + width]
         self._cells[table] = theirs
-        self.blocks.share(table, with_table)
+        self.blocks.share_contents(table, with_table)
 
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
         """Return the bytes that hold a table, and the slice of them for the addresses `span`.
@@ -148,7 +147,7 @@ class Blocks:
                     continue
                 first = point.block
                 held = blocks._blocks.setdefault((table, first), [])
-                held += [0] * (max(_held(point)) + 1 - first - len(held))
+                held += [0] * (max(_addresses_of(point)) + 1 - first - len(held))
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
@@ -170,12 +169,12 @@ class Blocks:
             raise ValueError(f"the block at {first} does not hold {list(values)} from {offset} on")
         block[offset : offset + len(values)] = values
 
-    def share(self, table: Table, with_table: Table) -> None:
+    def share_contents(self, table: Table, with_table: Table) -> None:
         """Let reads of `table` find the blocks of `with_table`, too, at the same addresses."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block
 
 
-def _held(point: Point) -> Iterable[int]:
+def _addresses_of(point: Point) -> Iterable[int]:
     return (at for first in point.addresses for at in range(first, first + point.words))

@@ -1,7 +1,7 @@
 """Reads a TOML file with the values that a slave starts with and those that change over time."""
 
 # A key names a register, a bit or a point (value_targets.py). The value is a number, a list of
-# numbers for consecutive addresses, or a TOML table for a value that changes (signals.py):
+# numbers for consecutive addresses, or a TOML table for a value that changes:
 #
 #     HR400001 = 4660
 #     HR400010 = [1, 2, -3]      # negative numbers are 16-bit two's complement
@@ -307,13 +307,13 @@ class _Movement:
             if each != self._form and each not in _FORMS[self._form]:
                 near = difflib.get_close_matches(each, _FORMS[self._form], n=1)
                 known = f"did you mean {near[0]}?" if near else ", ".join(_FORMS[self._form])
-                self._wrong(each, f"does not go with {self._form}; {known}")
+                self._refuse(each, f"does not go with {self._form}; {known}")
 
     def course(self, recall: Recall | None) -> Course:
         if self._form == "from":
             wanted = self._from_capture()
             if recall is None:
-                self._wrong("from", "no capture can be read here")
+                self._refuse("from", "no capture can be read here")
             return recall(wanted)
         signal = self._signal()
         for end in (signal.lowest, signal.highest):
@@ -341,14 +341,14 @@ class _Movement:
         if what is not None:
             source = self._targets.find(what)
             if source.table.is_bits != self._target.table.is_bits:
-                self._wrong("what", f"{what!r}: a bit and a register cannot stand for each other")
+                self._refuse("what", f"{what!r}: a bit and a register cannot stand for each other")
         name = self._text("from") or ""
         loop = self._table.get("loop", True)
         if not isinstance(loop, bool):
-            self._wrong("loop", f"{reprlib.repr(loop)}: write true or false")
+            self._refuse("loop", f"{reprlib.repr(loop)}: write true or false")
         unit = self._table.get("unit")
         if unit is not None and (not isinstance(unit, int) or not 0 <= unit <= 0xFF):
-            self._wrong("unit", f"{reprlib.repr(unit)}: write a number from 0 to 255")
+            self._refuse("unit", f"{reprlib.repr(unit)}: write a number from 0 to 255")
         return FromCapture(
             self._path.parent / name,
             source.table,
@@ -363,19 +363,19 @@ class _Movement:
     def _text(self, key: str) -> str | None:
         value = self._table.get(key)
         if value is not None and (not isinstance(value, str) or not value):
-            self._wrong(key, f"{reprlib.repr(value)}: write a text in quotes")
+            self._refuse(key, f"{reprlib.repr(value)}: write a text in quotes")
         return value
 
     def _pair(self) -> tuple[float, float]:
         pair = self._table[self._form]
         if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_number, pair)):
-            self._wrong(self._form, f"{reprlib.repr(pair)}: write two numbers, such as [0, 100]")
+            self._refuse(self._form, f"{reprlib.repr(pair)}: write two numbers, such as [0, 100]")
         return float(pair[0]), float(pair[1])
 
     def _listed(self) -> list[float]:
         values = self._table[self._form]
         if not isinstance(values, list) or not values or not all(map(_is_number, values)):
-            self._wrong(self._form, f"{reprlib.repr(values)}: write numbers, such as [0, 50, 100]")
+            self._refuse(self._form, f"{reprlib.repr(values)}: write numbers, such as [0, 50, 100]")
         return [float(value) for value in values]
 
     def _number(self, key: str, default: float | None, least: float, greatest: float) -> float:
@@ -383,12 +383,12 @@ class _Movement:
             return default
         value = self._table.get(key)
         if value is None:
-            self._wrong(key, f"is missing; {self._form} needs it")
+            self._refuse(key, f"is missing; {self._form} needs it")
         if not _is_number(value) or not least <= value <= greatest:
-            self._wrong(key, f"{reprlib.repr(value)}: write a number from {least} to {greatest}")
+            self._refuse(key, f"{reprlib.repr(value)}: write a number from {least} to {greatest}")
         return float(value) if key != "seed" else value
 
-    def _wrong(self, key: str, problem: str) -> NoReturn:
+    def _refuse(self, key: str, problem: str) -> NoReturn:
         raise UsageError(f"{key}: {problem}")
 
 

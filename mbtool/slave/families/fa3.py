@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -33,8 +34,6 @@ from mbtool.slave.device.behaviour import Behaviour, DeviceOutput
 from mbtool.slave.device.connection_policy import Admission, ConnectionPolicy, KeepAlive, Loss, Peer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import Profile
     from mbtool.slave.device.image import RegisterImage
 
@@ -484,11 +483,11 @@ class _Fa3Analog(Fa3):
     def take_settings(self, now_ns: int) -> None:
         """Called at each initial data setting: apply the settings in the holding registers."""
 
-    def _words(self, span: range) -> list[int]:
+    def _holding_registers(self, span: range) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))
 
     def _numbers(self, span: range) -> list[int]:
-        return [_signed(word) for word in self._words(span)]
+        return [_signed(word) for word in self._holding_registers(span)]
 
     def _enabled(self, address: int) -> list[bool]:
         """Return True for each channel whose bit in the register at `address` is 0 (enabled)."""
@@ -496,7 +495,7 @@ class _Fa3Analog(Fa3):
         return [not word >> channel & 1 for channel in CHANNELS]
 
     def _nibbles(self) -> list[int]:
-        low, high = self._words(_BY_CHANNEL)
+        low, high = self._holding_registers(_BY_CHANNEL)
         return [(low | high << 16) >> 4 * channel & 0xF for channel in CHANNELS]
 
 
@@ -576,7 +575,7 @@ class Fa3AnalogInput(_Fa3Analog):
 
     def _read_settings(self) -> list[_InputSetting | None]:
         converts, scales = self._enabled(_CONVERSION), self._enabled(_SCALING)
-        processes, averages = self._nibbles(), self._words(_AVERAGING)
+        processes, averages = self._nibbles(), self._holding_registers(_AVERAGING)
         limits = self._numbers(_SCALING_LIMITS)
         return [
             _InputSetting(

@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.devices.profile_checks import holds_read_only_point, value_ranges, values_outside
@@ -26,8 +27,6 @@ from mbtool.modbus.tables import ADDRESSES, Table
 from mbtool.slave.device.behaviour import Behaviour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import PointInstance, PointValue, Profile
     from mbtool.modbus.register_access import RegisterAccess
     from mbtool.slave.device.image import RegisterImage
@@ -69,13 +68,13 @@ class Lt830(Behaviour):
         if holds_read_only_point(self.profile, table, writes):
             return PROGRAMMING_DISABLED
         touched = [
-            self._after(place, table, writes, values)
+            self._value_after_write(place, table, writes, values)
             for place in self._ranged[table]
             if place.address < writes.stop and writes.start < place.address + place.words
         ]
         return OUT_OF_RANGE if values_outside(self._ranges, touched) else None
 
-    def _after(
+    def _value_after_write(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
         """Return the value that the point at `place` would have after a write.

@@ -7,7 +7,7 @@
 #     0B         returns status 0000 and the number of successful requests except 0B (V1.1b3, 6.9)
 #     1029H      a block of nine counters (Counter); writing 55AAH or AA55H clears them
 #     102AH      the number of open connections
-#     1030H      a connection is closed after so many ms without a request; 0 means never
+#     1030H      a connection is closed after this many ms without a request; 0 means never
 #     100BH      writing 1 saves time and mask of the watchdog, which then survive a restart
 #     2040H      writing 55AAH or AA55H restarts: outputs 0, settings as at the start or as saved,
 #                counters 0, watchdog off
@@ -20,22 +20,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.register_access import register_access
+from mbtool.modbus.register_access import RegisterAccess, register_access
 from mbtool.modbus.tables import Table
 from mbtool.slave.device.behaviour import Behaviour
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import Profile
-    from mbtool.modbus.register_access import RegisterAccess
     from mbtool.slave.device.image import RegisterImage
 
 # The process image of a WAGO 750 coupler: where its inputs and outputs are read and written.
@@ -74,8 +72,8 @@ class ProcessImage:
     """Reads and writes the inputs and outputs of a coupler in its register image."""
 
     def __init__(self, image: RegisterImage) -> None:
-        image.share(Table.INPUT_REGISTERS, HOLDING)
-        image.share(Table.DISCRETE_INPUTS, COILS)
+        image.share_contents(Table.INPUT_REGISTERS, HOLDING)
+        image.share_contents(Table.DISCRETE_INPUTS, COILS)
         self._image = image
         self._parts = _digital_parts(image.get(HOLDING, _SIZES.start, len(_SIZES)))
 
@@ -98,7 +96,7 @@ class ProcessImage:
                 values[at - span.start] = sum(bit << place for place, bit in enumerate(held))
         return values
 
-    def standing(self, table: Table, span: range) -> list[int]:
+    def present_values(self, table: Table, span: range) -> list[int]:
         """Return the present values of what a write to the addresses `span` would change.
 
         They are read where the image stores the outputs, which differs from `span`.
@@ -233,7 +231,7 @@ class Watchdog:
     def has_expired(self) -> bool:
         return self._status is Status.EXPIRED
 
-    def heard(self, function: int, now_ns: int) -> bool:
+    def note_request(self, function: int, now_ns: int) -> bool:
         """Note a request: let the watchdog expire if its time has passed, else restart it.
 
         The ordinary watchdog restarts only if the request's function code is in the mask. Returns
@@ -379,7 +377,7 @@ class Wago(Behaviour):
             self._at_first = self.image.get(HOLDING, SETTINGS.start, len(SETTINGS))
         self._count(Counter.MESSAGES)
         had_expired = self._watchdog.has_expired
-        if self._watchdog.heard(pdu[0], now_ns):
+        if self._watchdog.note_request(pdu[0], now_ns):
             self._process.clear_outputs()
             self._connections.notes.append("the alternative watchdog expired: all outputs are 0")
         if self._watchdog.has_expired and not had_expired:
@@ -411,8 +409,8 @@ class Wago(Behaviour):
             values[CONNECTIONS - span.start] = len(self._connections.peers)
         return self._process.read(span, values)
 
-    def standing(self, table: Table, span: range) -> list[int]:
-        return self._process.standing(table, span)
+    def present_values(self, table: Table, span: range) -> list[int]:
+        return self._process.present_values(table, span)
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
         self._process.write(table, span, values)

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from random import Random
@@ -26,8 +27,6 @@ from mbtool.modbus import Response, Table, exception_pdu, parse_pdu, register_ac
 from mbtool.modbus.response import ConnectionEnding, Distortion
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus import Responder
     from mbtool.modbus.pdu import Pdu
     from mbtool.modbus.register_access import RegisterAccess
@@ -200,12 +199,12 @@ class _Active:
         given = [
             value
             if span is not None and address not in span
-            else self._other(unit, access.table, address, value)
+            else self._false_value(unit, access.table, address, value)
             for address, value in zip(access.reads, values, strict=False)
         ]
         return replace(answer, pdu=response_to(request, pdu, given))
 
-    def _other(self, unit: int, table: Table, address: int, value: int) -> int:
+    def _false_value(self, unit: int, table: Table, address: int, value: int) -> int:
         if self._fault.kind is FaultKind.OFFSET:
             return value ^ 1 if table.is_bits else value + self._fault.by & _WORD
         if len(self._stuck) >= MAX_STUCK:

@@ -15,7 +15,7 @@
 # Adapters that echo the bytes written to them cannot be used: their echo would look like a request.
 #
 # Limits: at most MAX_PENDING responses, or pieces of responses (modbus/response.py), wait to be
-# sent; while so many wait, requests get no response. If the port does not take a response within
+# sent; while that many wait, requests get no response. If the port does not take a response within
 # WRITE_TIMEOUT_S, the rest of it is dropped.
 
 from __future__ import annotations

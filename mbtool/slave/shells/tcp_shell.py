@@ -13,8 +13,8 @@
 #
 #     connections   a connection beyond this number is closed at once, and counted, unless another
 #                   one has been open for a second without a request: then that one is closed
-#     idle          a connection without a complete request for so long is closed
-#     waiting       a connection with so many pending responses is not read
+#     idle          a connection without a complete request for this time is closed
+#     waiting       a connection with this many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
 #
 # For a while after a remote reset, an FA3 module accepts no connections. Its port then stays bound
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 # request for idle_s is closed. If the last part of a request does not come within split_s of its
 # first part, the request is dropped and the connection closed.
 #
-# Memory: one incomplete request, and the responses to Bounds.waiting requests. While so many
+# Memory: one incomplete request, and the responses to Bounds.waiting requests. While that many
 # responses are pending, or the master does not read them, the socket is not read. The last read
 # before may still add responses: READ_BYTES / 8 on Modbus/TCP, whose shortest ADU has 8 bytes, and
 # READ_BYTES / 4 with RTU frames, whose shortest has 4.
@@ -107,7 +107,7 @@ class Host(Protocol):
         Returns the master's Peer in the rules, or None if the connection must be closed.
         """
 
-    def left(self, connection: MasterConnection) -> None:
+    def note_left(self, connection: MasterConnection) -> None:
         """Called when a connection has ended."""
 
     def follow_rules(self) -> None:
@@ -208,7 +208,8 @@ class MasterConnection(asyncio.BufferedProtocol):
         self.peer.heard_ns = now_ns
         if not self._answer_in_place(nbytes, now_ns):
             self._split(bytes(self._buffer[:nbytes]), now_ns)
-        self.plan_end()
+        if self._rules.ends_some:
+            self.plan_end()
         if self._rules.changed:
             self._shell.follow_rules()
         if self._pending:
@@ -238,7 +239,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             is_gone = isinstance(exc, OSError) and exc.errno in _GONE
             loss = Loss.NOT_ALIVE if is_gone else self._loss
             self._rules.lost(self.peer, loss, self._clock())
-            self._shell.left(self)
+            self._shell.note_left(self)
             if self._rules.changed:
                 self._shell.follow_rules()
 
@@ -378,9 +379,11 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._split_timer.cancel()
             self._split_timer = None
         if self._is_in_pieces and self._split_timer is None and math.isfinite(self._rules.split_s):
-            self._split_timer = self._loop.call_later(self._rules.split_s, self._give_up)
+            self._split_timer = self._loop.call_later(
+                self._rules.split_s, self._abort_split_request
+            )
 
-    def _give_up(self) -> None:
+    def _abort_split_request(self) -> None:
         self._loss = Loss.SPLIT
         self._transport.abort()
 
@@ -476,7 +479,7 @@ class TcpSlave(Shell):
     def arrived(self, connection: MasterConnection, host: str) -> Peer | None:
         refusal = self._listener.refusal(host)
         if refusal is not None:
-            self._tell_refused(host, refusal)
+            self._report_refused(host, refusal)
         if refusal is not None or self._is_stopping:
             return None
         admission = self.rules.admit(host, self.clock())
@@ -490,7 +493,7 @@ class TcpSlave(Shell):
             self.connections.add(connection)
         return admission.peer
 
-    def left(self, connection: MasterConnection) -> None:
+    def note_left(self, connection: MasterConnection) -> None:
         self.connections.discard(connection)
 
     def follow_rules(self) -> None:
@@ -509,7 +512,7 @@ class TcpSlave(Shell):
         else:
             ends()
 
-    def _tell_refused(self, host: str, refusal: str) -> None:
+    def _report_refused(self, host: str, refusal: str) -> None:
         """Report a refused machine to the user once, as it usually tries again and again.
 
         `host` is the machine's IP address, `refusal` the message for the user.

@@ -97,7 +97,7 @@ class UdpSlave(Shell):
         """Answer the requests in a datagram from `address`."""
         refusal = self._listener.refusal_text(address[0])
         if refusal is not None:
-            self._tell_refused(address[0], refusal)
+            self._report_refused(address[0], refusal)
             return
         now_ns = self._clock()
         splitter: MbapSplitter | RtuStreamSplitter
@@ -128,7 +128,7 @@ class UdpSlave(Shell):
         with suppress(RuntimeError):  # The shell was stopped meanwhile.
             self._transport.sendto(piece, address)
 
-    def _tell_refused(self, host: str, refusal: str) -> None:
+    def _report_refused(self, host: str, refusal: str) -> None:
         if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
             self._refused_hosts.add(host)
             self._notes.append(f"a master was turned away: {refusal}")

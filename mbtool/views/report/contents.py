@@ -28,7 +28,7 @@ from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.troubles.broken_rules import Summaries, where
 from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
-from mbtool.values.value_series import thinned
+from mbtool.values.value_series import ValueSeries, thinned
 from mbtool.values.values import Values
 from mbtool.views.advice_lines import advice_lines
 from mbtool.views.differences import what_text
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.trouble import Trouble
-    from mbtool.values.value_series import ValueSeries
 
 MAX_UNITS = 24
 MAX_SAMPLES = 40_000
@@ -53,8 +52,9 @@ MAX_ROWS = 1000
 MAX_CASES = 5
 MAX_BINS = 300
 REQUESTS_IN_BIN = 5
-"""A bin of a chart is at least so many requests wide in the mean. Narrower ones would show single
-requests, as a comb; much wider ones would leave a capture of 100 requests only a few."""
+"""A chart has at most as many bins as give each this many requests in the mean. Narrower bins would
+show single requests, as a comb; much wider ones would leave a capture of 100 requests only a
+few."""
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {
@@ -266,7 +266,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     were counted, `counted` the number of these units.
     """
     timed = {link.name for link in contents.judgement.links if link.has_times}
-    known = [unit for unit in _in_order(contents) if unit.key.link in timed]
+    known = [unit for unit in _ordered_units(contents) if unit.key.link in timed]
     links = _sorted_links(contents)
     return {
         "begin": bins.begin_ns / 1e9,
@@ -282,7 +282,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     }
 
 
-def _in_order(contents: ReportContents) -> list[UnitAccount]:
+def _ordered_units(contents: ReportContents) -> list[UnitAccount]:
     """Return the units in the one order that tables and charts of the page have: the sick ones, the
     worst first, then those with the most requests.
     """
@@ -298,7 +298,7 @@ def _in_order(contents: ReportContents) -> list[UnitAccount]:
 
 def _links_in_order(contents: ReportContents) -> dict[str, int]:
     """Return the place of each link in the order of its first unit."""
-    names = dict.fromkeys(unit.key.link for unit in _in_order(contents))
+    names = dict.fromkeys(unit.key.link for unit in _ordered_units(contents))
     return {name: place for place, name in enumerate(names)}
 
 
@@ -332,17 +332,17 @@ def _unit_columns(bins: Chart, unit: UnitAccount) -> dict[str, Any]:
         "requests": column(UnitSum.REQUESTS),
         **{name: column(place) for name, place in _FAILURES.items()},
         "mean_ms": [
-            _in_ms(total / number) if number else None
+            _ns_to_ms(total / number) if number else None
             for total, number in zip(sums, numbers, strict=True)
         ],
         "most_ms": [
-            _in_ms(most) if number else None
+            _ns_to_ms(most) if number else None
             for most, number in zip(column(UnitSum.GREATEST_NS), numbers, strict=True)
         ],
     }
 
 
-def _in_ms(ns: float) -> float:
+def _ns_to_ms(ns: float) -> float:
     """Convert ns to ms, rounded to a microsecond."""
     return round(ns / 1e6, 3)
 
@@ -385,7 +385,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
                 "name": one.name,
                 "reference": one.reference,
                 "measure": one.unit,
-                "kind": _kind(one),
+                "kind": _drawing_kind(one),
                 "changes": one.changes,
                 "texts": [[value, text] for value, text in one.texts.items()],
                 "samples": [
@@ -396,14 +396,14 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
             for key, one in moving.items()
         ],
         "constant": [
-            [key.link, key.unit, one.name, one.reference, _last(one)]
+            [key.link, key.unit, one.name, one.reference, _last_text(one)]
             for key, one in values.series.items()
             if key not in moving
         ],
     }
 
 
-def _kind(series: ValueSeries) -> str:
+def _drawing_kind(series: ValueSeries) -> str:
     """Return the way in which the page draws a series of values: `bit`, `state` or `number`.
 
     A series is a state if the device's manual has words for its values.
@@ -414,7 +414,7 @@ def _kind(series: ValueSeries) -> str:
     return "state" if are_words else "number"
 
 
-def _last(series: ValueSeries) -> str:
+def _last_text(series: ValueSeries) -> str:
     if series.last_text:
         return series.last_text
     return f"{series.samples[-1].value:g} {series.unit}".strip() if series.samples else ""
@@ -422,7 +422,9 @@ def _last(series: ValueSeries) -> str:
 
 def _places(contents: ReportContents) -> dict[tuple[str, int | None], int]:
     """Return the place of each unit, by link and unit, in the order of the page."""
-    return {(one.key.link, one.key.unit): place for place, one in enumerate(_in_order(contents))}
+    return {
+        (one.key.link, one.key.unit): place for place, one in enumerate(_ordered_units(contents))
+    }
 
 
 def _inventory(contents: ReportContents) -> dict[str, Any]:

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import (
@@ -27,29 +28,24 @@ from mbtool.core import (
     SerialLink,
     Stamp,
     UsageError,
+    WireEvent,
     parse_link,
 )
 from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
-from mbtool.packets import LinePacket, serial_pieces
+from mbtool.packets import CaptureHead, LinePacket, serial_pieces
 from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.recorded import read_recorded, where_none
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
-    from mbtool.packets import CaptureHead
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
-    from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
 """At most this many bytes are passed to a serial port at once, so that the port takes them without
@@ -85,7 +81,7 @@ def read_pieces(
     lines = {one.link for one in transactions if one.transport.is_serial}
     _demand_one_line(path, lines, transactions)
     if lines:
-        begun = _of_line(path, options.reading, lines.pop(), link, on_remark)
+        begun = _begun_on_line(path, options.reading, lines.pop(), link, on_remark)
     else:
         begun = _framed(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):
@@ -128,7 +124,7 @@ def _framed(transactions: Iterable[NamedTransaction], *, is_ascii: bool) -> list
     return begun
 
 
-def _of_line(
+def _begun_on_line(
     path: str,
     options: ReadingOptions,
     name: str,

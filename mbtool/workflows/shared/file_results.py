@@ -5,6 +5,7 @@ If a file is cut or damaged, the other files are still read; its error is raised
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,8 +14,6 @@ from mbtool.packets import CaptureHead
 from mbtool.sources.files import shown_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.logs import LogReader
 
@@ -109,7 +108,9 @@ class FileResults:
         try:
             for number, path in enumerate(self._paths, 1):
                 if path not in self.refused:
-                    yield from self._one(path, read, go_on, is_last=number == len(self._paths))
+                    yield from self._items_of_file(
+                        path, read, go_on, is_last=number == len(self._paths)
+                    )
                 self.files_read += 1
         except InputError:
             yield from end()
@@ -117,7 +118,7 @@ class FileResults:
         yield from end()
         self.raise_first()
 
-    def _one(
+    def _items_of_file(
         self,
         path: str,
         read: Callable[[str], Iterator[T]],

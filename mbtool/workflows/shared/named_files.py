@@ -13,12 +13,9 @@ from __future__ import annotations
 import glob
 import os
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from mbtool.core import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _CAPTURE = re.compile(r".+\.(?:pcap|pcapng|cap|mcap|sr)\d*(?:\.gz|\.zst)?", re.IGNORECASE)
 _WILD = re.compile(r"[*?\[]")
@@ -31,7 +28,7 @@ def named_files(paths: Sequence[str]) -> list[str]:
     A path that is no folder and no pattern stays as it is. Raises InputError for a folder without
     captures, and a pattern that no file fits.
     """
-    found = [(path, _found(path)) for path in paths]
+    found = [(path, _files_in(path)) for path in paths]
     taken = {os.path.realpath(path) for path, files in found if files is None}
     named: list[str] = []
     for path, files in found:
@@ -50,7 +47,7 @@ def is_folder(path: str) -> bool:
     return os.path.isdir(path)
 
 
-def _found(path: str) -> list[str] | None:
+def _files_in(path: str) -> list[str] | None:
     """Return the files of a folder or a pattern; None if `path` is neither."""
     if is_folder(path):
         found = [

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -35,12 +36,13 @@ from mbtool.core import (
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.moments import counted
 from mbtool.decode.line_timing import LineTiming
-from mbtool.devices import Assignments, Namer
+from mbtool.devices import Assignments, NamedTransaction, Namer, Profile
 from mbtool.logs import LogReader
 from mbtool.logs.links import (
     ACROSS,
     PORTS,
     RTU_PORTS,
+    LinkMetadata,
     all_assignments,
     names_any_port,
     ports_of,
@@ -60,14 +62,10 @@ from mbtool.workflows.shared.file_results import FileResults
 from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_types
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.reading_options import ReadingOptions
-from mbtool.workflows.shared.undecoded_logs import LogRemarks, heard
+from mbtool.workflows.shared.undecoded_logs import LogRemarks, evidence_and_events
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from mbtool.decode.decoder import Decoder, Evidence, Record
-    from mbtool.devices import NamedTransaction, Profile
-    from mbtool.logs.links import LinkMetadata
     from mbtool.sources.byte_files import SerialPiece
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.unreadable_lines import LineOf
@@ -382,7 +380,7 @@ class Reading:
             pieces = self.exact_times.noted(pieces, line.format)
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
-        decoder.begin_line(line.on(capture.link))
+        decoder.begin_line(line.link_at(capture.link))
         for piece in self._fed(pieces):
             self._items += 1
             yield from decoder.feed(piece)
@@ -478,7 +476,7 @@ class Reading:
             yield from self._decoded_again(log, log.evidence(), Part.of_log(log))
         elif log.is_evidence_only or self._logs.are_undecoded:
             self.assignments = all_assignments(log, self._options.assignments)
-            yield from self._decoded_again(log, heard(log), Part.of_log(log))
+            yield from self._decoded_again(log, evidence_and_events(log), Part.of_log(log))
         elif self._timing(self.assignments).is_given:
             raise UsageError(
                 f"{capture.name}: a log holds what was decoded when it was made; "

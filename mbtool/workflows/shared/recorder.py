@@ -19,20 +19,17 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, EventKind, Packet, WireEvent
-from mbtool.logs.messages import DecodingMark
+from mbtool.logs.messages import DecodingMark, LogItem
 from mbtool.logs.undecoded import UNDECODED_PIECES
-from mbtool.sources.inbox import Inbox
+from mbtool.sources.inbox import Inbox, Item
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.decode.decoder import Record
-    from mbtool.logs.messages import LogItem
-    from mbtool.sources.inbox import Item
 
 TICK_S = 0.1
 """The recorder's thread waits at most this long (seconds) for evidence before it checks the clock
@@ -125,9 +122,8 @@ class Recorder:
             self._log.write(record)
             return
         with self._changed:
-            self._changed.wait_for(
-                lambda: len(self._records) < MAX_RECORDS or self._failure is not None
-            )
+            while len(self._records) >= MAX_RECORDS and self._failure is None:
+                self._changed.wait()
             self._records.append(record)
         self.check()
 
@@ -163,7 +159,7 @@ class Recorder:
         }
         try:
             if self._failure is None and (self._is_behind or self.waiting or self._has_new_drops):
-                self._mark(self._now_ns(), self.waiting)
+                self._write_decoding_mark(self._now_ns(), self.waiting)
         finally:
             if self.waiting or self.dropped:
                 final[UNDECODED_PIECES] = str(self.waiting + self.dropped)
@@ -222,7 +218,7 @@ class Recorder:
             (self._is_behind or self._has_new_drops)
             and not 0 <= now_ns - self._marked_ns < _MARK_NS
         ):
-            self._mark(now_ns, self.waiting if self._is_behind else 0)
+            self._write_decoding_mark(now_ns, self.waiting if self._is_behind else 0)
         self._log.tick(now_ns)
 
     @property
@@ -232,7 +228,7 @@ class Recorder:
         """
         return self.dropped > self._told_dropped
 
-    def _mark(self, now_ns: int, waiting: int) -> None:
+    def _write_decoding_mark(self, now_ns: int, waiting: int) -> None:
         # The records of all chunks and packets decoded so far must stand before the mark in the
         # log.
         self._write_records()

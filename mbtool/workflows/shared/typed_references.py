@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import msgspec
 
@@ -23,9 +23,6 @@ from mbtool.devices.importing.spellings import parse_order, parse_type
 from mbtool.devices.references import SHORT_WORDS
 from mbtool.modbus.tables import Table
 from mbtool.workflows.shared.questions import Wording
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _SHORT = re.compile(r"([uif])(16|32|64)([a-d]{4})?")
 _STRING = re.compile(r"(?:str|string|s)(\d{1,3})")
@@ -53,7 +50,7 @@ def typed_references(
     plain: list[str] = []
     points: list[Point] = []
     for text in texts:
-        typed = _divided(text)
+        typed = _reference_and_type(text)
         if typed is None:
             plain.append(text)
             continue
@@ -83,7 +80,7 @@ def typed_points(texts: Sequence[str]) -> list[Point]:
     """Return the points that the values of --types name. Raises UsageError for another text."""
     found: list[Point] = []
     for text in texts:
-        typed = _divided(text)
+        typed = _reference_and_type(text)
         if typed is None:
             raise UsageError(f"--types {text!r}: write REFERENCE:TYPE, such as hr10:f32cdab")
         name, equals, reference = typed[0].rpartition("=")
@@ -113,7 +110,7 @@ def with_points(profile: Profile | None, points: Sequence[Point]) -> Profile:
     return msgspec.structs.replace(base, points=[*rest, *points])
 
 
-def _divided(text: str) -> tuple[str, str] | None:
+def _reference_and_type(text: str) -> tuple[str, str] | None:
     """Divide a text into the reference and the type; None if it ends in no type."""
     reference, colon, type_text = text.rpartition(":")
     type_text = type_text.strip()
@@ -149,7 +146,9 @@ def _points(
     return [
         msgspec.structs.replace(
             point,
-            name=_named(name, table, span.start + number * words, number + 1 if count > 1 else 0),
+            name=_point_name(
+                name, table, span.start + number * words, number + 1 if count > 1 else 0
+            ),
             table=table,
             address=span.start + number * words,
         )
@@ -157,7 +156,7 @@ def _points(
     ]
 
 
-def _named(name: str, table: Table, address: int, number: int) -> str:
+def _point_name(name: str, table: Table, address: int, number: int) -> str:
     """The name of a point: the user's, or a short one such as HR10; `number` is 0 for the only
     one.
     """

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, InputError, WireEvent
+from mbtool.core import Chunk, EventKind, InputError, Packet, WireEvent
 from mbtool.core.moments import clock_time, counted, day
 from mbtool.logs.links import SPEC
 from mbtool.logs.undecoded import (
@@ -28,9 +29,6 @@ from mbtool.logs.undecoded import (
 from mbtool.sources.files import place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence, Set
-
-    from mbtool.core import Chunk, Packet
     from mbtool.logs import LogReader
 
 _OF_SOURCES = frozenset(
@@ -67,7 +65,7 @@ class LogRemarks:
     @property
     def are_undecoded(self) -> bool:
         """True if at least one log has undecoded evidence. Then all logs are decoded again."""
-        return bool(self._counts) or any(self._ends.values())
+        return bool(self._counts) or any(self._undecoded_ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
         """Keep remarks for the user about the log with this name, which has been read to
@@ -90,7 +88,7 @@ class LogRemarks:
             return ""
         if self.are_undecoded:
             return "; it is decoded again, for its last moments"
-        return "" if name in self._ends else "; --raw also decodes its last moments"
+        return "" if name in self._undecoded_ends else "; --raw also decodes its last moments"
 
     @property
     def remarks(self) -> list[str]:
@@ -109,7 +107,7 @@ class LogRemarks:
         return {path: count for path, count in counts.items() if count}
 
     @cached_property
-    def _ends(self) -> Mapping[str, bool]:
+    def _undecoded_ends(self) -> Mapping[str, bool]:
         """For each log, by path: True if it was not closed, and its last evidence was not decoded.
 
         Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
@@ -129,22 +127,24 @@ class LogRemarks:
         return [path for path in self._paths if not place_of(path)[1]]
 
 
-def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
+def evidence_and_events(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the packets and chunks of a log, and those events that decoding them again cannot find,
     such as errors of a port. Each event comes at its place in time.
     """
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     return _in_place(
-        item for item in log.heard() if not isinstance(item, WireEvent) or is_of_source(item, taps)
+        item
+        for item in log.captured_items()
+        if not isinstance(item, WireEvent) or is_of_source(item, taps)
     )
 
 
 def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the items in an order in which each event stands before the later evidence of its link.
 
-    The log has an event only after the decoder has passed it on, so often behind later evidence. An
-    event about lost bytes ends the frame that is being decoded. If it came too late, it would end a
-    later frame.
+    The log has an event only after the decoder has passed it on, and often behind later evidence.
+    An event about lost bytes ends the frame that is being decoded. If it came too late, it would
+    end a later frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:

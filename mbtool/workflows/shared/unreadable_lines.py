@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -29,15 +29,13 @@ from mbtool.serial_line.settings_fit import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.decode.decoder import Record
 
 MIN_BYTES = ENOUGH_WITHOUT_FRAME
 MAX_READ_SHARE = LIKELY_FIT
 ANSWERED = 5
-"""The settings are right if at least so many requests, and half of all, are answered, whatever else
-is on the line."""
+"""If at least this many requests, and half of all, are answered, the line settings are not called
+wrong, whatever else is on the line."""
 SAMPLE_BYTES = SOON_BYTES = ENOUGH
 SOON_NS = 3_000_000_000
 
@@ -95,20 +93,20 @@ class UnreadableLines:
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
                 request, response = record.request_raw, record.response_raw
-                heard = self._lines.get(record.link) or self._heard(record.link)
+                heard = self._lines.get(record.link) or self._line_of_link(record.link)
                 heard.read += len(request or b"") + len(response or b"")
                 heard.requests += request is not None
                 heard.answered += request is not None and response is not None
             return None
         if record.kind not in _UNREAD or record.source or record.destination:
             return None
-        heard = self._heard(record.link)
+        heard = self._line_of_link(record.link)
         heard.add(record)
         first_ns = heard.first.ts_ns if heard.first is not None else record.ts_ns
         is_soon = heard.unread >= SOON_BYTES or record.ts_ns - first_ns >= SOON_NS
         if heard.is_told or not is_soon or not heard.is_unreadable:
             return None
-        return self._tell(record.link, heard)
+        return self._first_remark(record.link, heard)
 
     def untold(self) -> Iterator[str]:
         """Yield a message for each unreadable line that `note` has not reported. Call it at the
@@ -116,7 +114,7 @@ class UnreadableLines:
         """
         for link, heard in self._lines.items():
             if heard.is_unreadable and not heard.is_told:
-                yield self._tell(link, heard)
+                yield self._first_remark(link, heard)
 
     def unreadable(self) -> Iterator[tuple[WireEvent, str]]:
         """Yield a pair for each unreadable line: the first event about unreadable bytes, and a text
@@ -126,13 +124,13 @@ class UnreadableLines:
             if heard.first is not None and heard.is_unreadable:
                 yield heard.first, self._text(link, heard)
 
-    def _heard(self, link: str) -> _HeardLine:
+    def _line_of_link(self, link: str) -> _HeardLine:
         heard = self._lines.get(link)
         if heard is None:
             heard = self._lines[link] = _HeardLine()
         return heard
 
-    def _tell(self, link: str, heard: _HeardLine) -> str:
+    def _first_remark(self, link: str, heard: _HeardLine) -> str:
         heard.is_told = True
         return f"{link}: {self._text(link, heard)}"
 

@@ -14,12 +14,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from mbtool.core import Chunk, Connection, Direction, EventKind
 
-    from mbtool.core import Chunk, Connection, Direction, EventKind
+if TYPE_CHECKING:
     from mbtool.modbus import Transport
 
 SEARCH_NS = 10_000_000_000
@@ -135,17 +135,19 @@ class WireStream:
         while self._held:
             frame = self._frames[0] if self._frames else None
             if frame is None:
-                yield from self._between(len(self._held), is_last=now_ns is None)
+                yield from self._pieces_without_frame(len(self._held), is_last=now_ns is None)
                 return
             begin = self._begin(frame)
             if begin < 0 or begin + len(frame.raw) > len(self._held):
                 if begin > 0:
-                    yield from self._between(min(begin, len(self._held)), is_last=False)
+                    yield from self._pieces_without_frame(
+                        min(begin, len(self._held)), is_last=False
+                    )
                 if self._waits_for(frame, now_ns):
                     return
                 self._frames.popleft()
                 continue
-            yield from self._between(begin, is_last=True)
+            yield from self._pieces_without_frame(begin, is_last=True)
             self._frames.popleft()
             yield self._take(len(frame.raw), frame=frame)
 
@@ -169,7 +171,7 @@ class WireStream:
             return True
         return now_ns - frame.ts_ns < SEARCH_NS and len(self._held) < MAX_WAITING
 
-    def _between(self, size: int, *, is_last: bool) -> Iterator[WirePiece]:
+    def _pieces_without_frame(self, size: int, *, is_last: bool) -> Iterator[WirePiece]:
         """Yield the first `size` bytes in `_held` as pieces that are no frame.
 
         If `is_last` is False, more bytes that are no frame may follow. Then the last of the `size`

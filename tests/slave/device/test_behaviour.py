@@ -88,7 +88,7 @@ def test_a_behaviour_refuses_after_all_other_checks_and_shows_what_it_likes() ->
 class _Apart(Behaviour):
     """Writes go to a place 16 addresses higher."""
 
-    def standing(self, table: Table, span: range) -> list[int]:
+    def present_values(self, table: Table, span: range) -> list[int]:
         return self.image.get(table, span.start + 16, len(span))
 
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:

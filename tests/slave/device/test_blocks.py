@@ -23,7 +23,7 @@ def test_a_block_is_read_from_its_first_address_as_far_as_it_goes() -> None:
 
 def test_tables_that_are_one_have_the_same_blocks() -> None:
     blocks = Blocks.of(WAGO)
-    blocks.share(INPUT, HOLDING)
+    blocks.share_contents(INPUT, HOLDING)
     blocks.set(HOLDING, 0x2020, 1, [7])
     assert blocks.get(INPUT, range(0x2020, 0x2022)) == [0, 7]
 

@@ -97,7 +97,7 @@ def test_tables_that_are_shared_are_one() -> None:
     image.set(Table.INPUT_REGISTERS, 1, [5, 6])
     image.set(Table.HOLDING_REGISTERS, 1, [7])
     for _ in range(2):
-        image.share(Table.INPUT_REGISTERS, Table.HOLDING_REGISTERS)
+        image.share_contents(Table.INPUT_REGISTERS, Table.HOLDING_REGISTERS)
     assert image.get(Table.HOLDING_REGISTERS, 0, 4) == [0, 7, 6, 0]
     image.set(Table.HOLDING_REGISTERS, 3, [8])
     assert image.get(Table.INPUT_REGISTERS, 0, 4) == [0, 7, 6, 8]

@@ -124,7 +124,7 @@ def test_the_manuals_examples_come_out() -> None:
 def test_limits_are_those_of_the_mode() -> None:
     from mbtool.modbus import Transport
 
-    ascii_mode = LT830.in_mode(Transport.ASCII)
+    ascii_mode = LT830.with_limits_of(Transport.ASCII)
     device = make_device(ascii_mode, RegisterImage.of(ascii_mode))
     assert _ask(device, "03 0000 000D")[:2] == "03"
     assert _ask(device, "03 0000 000E") == "83 03"

@@ -10,6 +10,7 @@ from mbtool.modbus import Response
 from mbtool.slave.shells import TcpSlave
 from mbtool.slave.shells.opening import ShellGroup
 from tests.slave.scripted import Scripted
+from tests.sources.live_helpers import MASTER_TIMEOUT_NS
 from tests.workflows.bench import ANY
 from tests.workflows.evidence import READ, VALUES
 
@@ -24,13 +25,13 @@ def test_all_answer_while_the_context_is_open_and_none_afterwards() -> None:
         assert group.place == "2 links"
         links = [parse_link(slave.place) for slave in slaves]
         for link in links:
-            with open_master(link) as master:
+            with open_master(link, MASTER_TIMEOUT_NS) as master:
                 assert master.ask(1, READ) == VALUES
         group.wait(0)
         assert (group.turned_away, group.notes()) == (0, [])
     for link in links:
         with pytest.raises(LinkError, match="cannot be reached"):
-            open_master(link)
+            open_master(link, MASTER_TIMEOUT_NS)
 
 
 def test_a_group_of_one_is_called_as_its_shell() -> None:

@@ -39,7 +39,7 @@ class _Shell:
     on_exchange: None = None
     rules: ConnectionPolicy = field(default_factory=ConnectionPolicy)
 
-    def left(self, connection: MasterConnection) -> None: ...
+    def note_left(self, connection: MasterConnection) -> None: ...
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self.answers.append(bytes([unit]) + pdu)

@@ -110,8 +110,10 @@ def test_a_finding_that_comes_later_marks_the_row_that_it_is_about() -> None:
     for at in (1, 2):
         rows.add(asked(at), ())
     for code in ("RTU-101", "RTU-101", "MB-404"):
-        rows.mark(Finding(code=code, message="", ts_ns=asked(1).start_ns, link="rs485", unit=1))
-    rows.mark(Finding(code="MB-404", message="", ts_ns=7, link="rs485", unit=1))
+        rows.add_finding(
+            Finding(code=code, message="", ts_ns=asked(1).start_ns, link="rs485", unit=1)
+        )
+    rows.add_finding(Finding(code="MB-404", message="", ts_ns=7, link="rs485", unit=1))
     told = rows.document({})
     assert [told["texts"][row[-1]] for row in told["rows"]] == ["RTU-101 MB-404", ""]
     assert told["with_trouble"] == told["kept_with_trouble"] == 1

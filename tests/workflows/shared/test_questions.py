@@ -64,9 +64,9 @@ def test_a_function_makes_an_address_alone_a_reference() -> None:
 def test_a_long_range_is_divided_as_the_standard_or_the_device_asks() -> None:
     assert _hex(*Wording().reads("holding 0..249")) == ["030000007d", "03007d007d"]
     assert _hex(*Wording().reads("coil 0..2000")) == ["01000007d0", "0107d00001"]
-    rule = LT830.in_mode(Transport.ASCII).functions["03"]
+    rule = LT830.with_limits_of(Transport.ASCII).functions["03"]
     assert rule.limit is not None
-    first, *_ = Wording(LT830.in_mode(Transport.ASCII)).reads(f"holding 0..{rule.limit}")
+    first, *_ = Wording(LT830.with_limits_of(Transport.ASCII)).reads(f"holding 0..{rule.limit}")
     assert int.from_bytes(first[3:]) == rule.limit < 125
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, EventKind, WireEvent
 from mbtool.logs import LogReader, LogWriter
-from mbtool.workflows.shared.undecoded_logs import heard
+from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from tests.logs.samples import START_NS
 
 if TYPE_CHECKING:
@@ -30,7 +30,10 @@ def order(path: Path, *items: Chunk | WireEvent) -> list[tuple[str, int]]:
         for item in items:
             log.write(item)
     with LogReader.open(path) as reader:
-        return [(type(one).__name__, (one.ts_ns - START_NS) // MS) for one in heard(reader)]
+        return [
+            (type(one).__name__, (one.ts_ns - START_NS) // MS)
+            for one in evidence_and_events(reader)
+        ]
 
 
 def test_a_gap_that_was_written_late_stands_before_the_bytes_that_came_after_it(
