@@ -25,7 +25,7 @@ settings.register_profile(
 settings.register_profile(
     "same-examples", settings.get_profile("new-examples"), derandomize=True, max_examples=25
 )
-settings.register_profile("quick", settings.get_profile("same-examples"), max_examples=10)
+settings.register_profile("quick", settings.get_profile("same-examples"), max_examples=5)
 settings.load_profile("same-examples")
 
 # --quick leaves these out: they start processes, keep to real times, try very many bytes or read
@@ -63,7 +63,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--quick",
         action="store_true",
-        help="Leave slow tests out, and try a tenth as many examples in the others.",
+        help="Leave slow tests out, and try a fifth as many examples in the others.",
     )
 
 
