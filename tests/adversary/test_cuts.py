@@ -23,7 +23,7 @@ from tests.adversary.removal import packets_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-CUTS = 20
+CUTS, PLANT_CUTS = 40, 20
 LARGE = 400_000
 """Captures of more bytes take too long here; `python -m tests.adversary.cuts` cuts them, too."""
 PLANT_SEEDS = range(1, 4)
@@ -80,7 +80,9 @@ def test_no_pair_of_pipelined_requests_is_wrong_if_every_twentieth_packet_is_los
 def test_a_plant_cut_at_its_ends_has_no_wrong_pair_and_blames_nobody(master: str) -> None:
     counts: Counter[str] = Counter()
     for seed in PLANT_SEEDS:
-        counts.update(cut_capture(WholeCapture(plant(master, seed)), CUTS, seed)["ends"].counts())
+        counts.update(
+            cut_capture(WholeCapture(plant(master, seed)), PLANT_CUTS, seed)["ends"].counts()
+        )
     assert counts["contradicted"] == counts["blamed"] == counts["unasked"] == 0
 
 

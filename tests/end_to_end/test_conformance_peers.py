@@ -174,7 +174,7 @@ def deviations(kind: str, folder: Path, *words: str) -> dict[str, str]:
 )
 def test_each_known_deviation_is_named_and_no_other(tmp_path: Path, kind: str) -> None:
     # On a busy machine a slave answers late. Those that are silent in many cases would take long.
-    found = deviations(kind, tmp_path, "--timeout", "3" if kind in SLOW else "10")
+    found = deviations(kind, tmp_path, "--timeout", "3" if kind in SLOW else "5")
     sometimes = SOMETIMES.get(kind, set())
     assert found.keys() - sometimes == DEVIATIONS[kind].keys() - sometimes
     for name, told in DEVIATIONS[kind].items():

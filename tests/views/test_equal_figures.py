@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
 
 OPTIONS = ReadingOptions()
-LARGEST = 1_500_000
+LARGEST = 500_000
 CAPTURES = sorted(
     path
     for path in public_folder().rglob("*")
