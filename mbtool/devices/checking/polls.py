@@ -18,7 +18,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import sub
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
@@ -28,12 +28,12 @@ from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.quiet_run import QuietPoll
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
-from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.devices.checking.quiet_run import QuietRun
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_POLLS = 4096
 MAX_PERIODS = 256
@@ -57,7 +57,10 @@ _MULTIPLIER = 2_654_435_761
 
 @dataclass(slots=True)
 class _Poll:
-    first: NamedTransaction | None = None
+    first: Finding | None = None
+    """What a finding says of the first request. It is kept in place of the transaction, which holds
+    its values and bytes.
+    """
     last_ns: int = 0
     sample: list[tuple[int, int]] = field(default_factory=list)
     """The sampled periods: the hash of the period's number, and the period in ns."""
@@ -129,7 +132,7 @@ class PollRules:
             return
         poll = self._polls[_key(transaction)]
         if poll.first is None:
-            poll.first, poll.last_ns = transaction, at_ns
+            poll.first, poll.last_ns = _said_of(transaction), at_ns
         else:
             poll.note(at_ns)
 
@@ -155,14 +158,15 @@ class PollRules:
             for poll, places in self._polls.use([keys[one.poll] for one in requests]):
                 times = [requests[place].at_ns for place in places]
                 if poll.first is None:
-                    poll.first, poll.last_ns = run.head(requests[places[0]].row), times[0]
+                    head = run.head(requests[places[0]].row)
+                    poll.first, poll.last_ns = _said_of(head), times[0]
                     times = times[1:]
                 poll.note_all(times)
             return
         for key, one in zip(keys, run.polls, strict=True):
             poll, times = self._polls[key], one.request_ns
             if poll.first is None:
-                poll.first, poll.last_ns = run.head(one.first), times[0]
+                poll.first, poll.last_ns = _said_of(run.head(one.first)), times[0]
                 times = times[1:]
             poll.note_all(times)
 
@@ -174,9 +178,11 @@ class PollRules:
         for poll in self._polls.values():
             text = _text(poll)
             if text is not None and poll.first is not None:
-                yield transaction_finding(
-                    "MB-404", poll.first, f"{request_text(poll.first)}: {text}"
-                )
+                yield replace(poll.first, message=f"{poll.first.message}: {text}")
+
+
+def _said_of(transaction: NamedTransaction) -> Finding:
+    return transaction_finding("MB-404", transaction, request_text(transaction))
 
 
 def _key(one: NamedTransaction | QuietPoll) -> tuple[object, ...]:
