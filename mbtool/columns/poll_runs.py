@@ -1,114 +1,317 @@
-"""Groups equal polls among the transactions in arrays, for the statistics and the inventory,
-without making an object of each.
+"""Figures about answered reads and writes in arrays, for rules, account and troubles, without an
+object of each.
 """
 
-# Only the usual reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
-# they have the same link, master address (without port), slave and MAC addresses, and if their PDUs
-# have the same unit, function, address, quantity and exception code. Among the kinds that differ
-# only in address, only the first transaction is made an object with names, as the Decoder makes it.
-# Copies of this object with other addresses stand for the other kinds.
+# Only the usual reads and writes (usual_rows.py) are in a run. Two transactions have the same form
+# if they have the same link, master address (without port), slave and MAC addresses, and if their
+# PDUs have the same unit, function and exception code. Only the first transaction of a form is made
+# an object with names, as the Decoder makes it. Copies of this object with other addresses and
+# quantities stand for the other transactions.
 #
-# Memory: about MAX_KINDS such objects are kept between blocks. If there are more, all are forgotten
+# Memory: about MAX_FORMS such objects are kept between blocks. If there are more, all are forgotten
 # and made again when needed.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from functools import cached_property, lru_cache
+from itertools import chain, count, islice, repeat
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from msgspec import structs
 
 from mbtool.columns.arrays import Groups
 from mbtool.columns.column_decoder import order_of
-from mbtool.columns.plain_transactions import PlainObjects, origin_fields
-from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
+from mbtool.columns.plain_transactions import origin_fields
+from mbtool.devices import NamedTransaction
+from mbtool.devices.checking.quiet_run import (
+    AlikeRequests,
+    QuietRun,
+    RunRows,
+    Stay,
+    Stays,
+)
+from mbtool.devices.references import write_reference
+from mbtool.modbus.functions import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 
-    from mbtool.columns.arrays import Bools, Int64s
+    from mbtool.columns.arrays import Bools, Int64s, Numbers
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.plain_transactions import RowObjects
     from mbtool.columns.usual_values import UsualValues
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.quiet_run import (
+        ConnectionCounts,
+        PollName,
+        QuietConnection,
+    )
 
 Part = TypeVar("Part")
 
-MAX_KINDS = 65_536
-"""If there are more examples than this, all are forgotten before the next block."""
-_ADDRESS = 0xFFFF << 16
-"""The bits of the address in `UsualRows.asked`."""
+MAX_FORMS = 65_536
 _Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
 
 
-class KindsOfRows(NamedTuple):
-    """Tells which rows (transactions) of a block are requests of the same poll."""
-
-    likes: list[NamedTransaction]
-    """An example transaction of each kind of poll, from this block or an earlier one."""
-    form: list[int]
-    """For each kind a number, equal for those that differ in address only."""
-    kind: Int64s
-    """For each row, the index of its kind; meaningless for a row that is no usual read or write.
-    """
+Likes = dict[tuple[_Place, int], NamedTransaction]
+"""An example of each form of transaction. Its slave has no profile, and it has no finding."""
 
 
-class PollRuns:
-    """Groups the usual reads and writes of each block, for counts of equal polls together."""
+class BlockPolls:
+    """The polls and forms of a block's rows (transactions), and their fields."""
 
-    def __init__(self, objects: PlainObjects) -> None:
-        self._objects = objects
-        self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
-        """An example transaction of each kind of poll. The key is the link with its hosts (_Place),
-        and the request as a number (`UsualRows.asked`)."""
-        self._forms: dict[tuple[_Place, int], NamedTransaction] = {}
-        """Example transactions by the same key with the bits of the address cleared: the examples
-        for other addresses are copies of them."""
+    def __init__(
+        self, rows: PlainRows, usual: UsualValues, objects: RowObjects, likes: Likes
+    ) -> None:
+        self.rows = rows
+        self.usual = usual
+        self.objects = objects
+        self._likes = likes
+        known = {one: number for number, one in enumerate(dict.fromkeys(rows.connections))}
+        self.known = known
+        """The number of each connection: those with the same ends have the same."""
+        numbers = np.array([known[one] for one in rows.connections], np.int64)
+        self.connection: Int64s = numbers[rows.connection]
+        self.ends = [(one.link, str(one.master), str(one.slave)) for one in known]
+        self.hosts = [one.master.host for one in known]
+        self.link = _numbers([link for link, _, _ in self.ends])
+        self.link_host = _numbers([*zip(self.link.tolist(), self.hosts, strict=True)])
+        self.unit: Int64s = self.link[self.connection] << 8 | rows.unit
+        self.has_masters = self.link_host.max(initial=0) > self.link.max(initial=0)
+        """True if a link has several masters."""
+        self.asked: Int64s = (
+            rows.unit << 40 | rows.code << 32 | usual.address << 16 | usual.quantity
+        )
+        """By row, its `asked_number`."""
+        asked = self.link_host[self.connection] << 48 | self.asked
+        _, first, poll = np.unique(asked, return_index=True, return_inverse=True)
+        self._first = first
+        self.poll: Int64s = poll
+        """By row, the number of its poll, where equal requests of two masters are two polls."""
 
-    def kinds_of(self, rows: PlainRows, usual: UsualValues) -> KindsOfRows:
-        """Return an example transaction of each kind of poll in the block, and for each row the
-        index of its kind among these examples.
+    @cached_property
+    def names(self) -> list[PollName]:
+        """The name of each poll."""
+        rows, usual, first = self.rows, self.usual, self._first
+        of = self.connection[first].tolist()
+        return [*zip(
+            [self.ends[one][0] for one in of], [self.hosts[one] for one in of],
+            rows.unit[first].tolist(), rows.code[first].tolist(), repeat(None),
+            usual.address[first].tolist(), usual.quantity[first].tolist(), repeat(None),
+            repeat(None),
+        )]  # fmt: skip
 
-        The index of a row that is no usual read or write is meaningless.
+    @cached_property
+    def forms(self) -> tuple[list[NamedTransaction], Int64s]:
+        """An example of each form in the block, and for each row the index of its form; meaningless
+        for a row that is no usual read or write.
         """
-        if len(self._kinds) > MAX_KINDS:
-            self._kinds.clear()
-            self._forms.clear()
+        rows, usual, likes = self.rows, self.usual, self._likes
+        if len(likes) > MAX_FORMS:
+            likes.clear()
         places = _places(rows)
         numbers: dict[_Place, int] = {}
         place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
-        asked = usual.asked
-        asked[~usual.is_usual] = -1
-        like = Groups(asked)
-        groups = Groups(place_of[rows.connection] * len(like.first) + like.number)
-        keys = [
-            (places[end], one)
-            for end, one in zip(
-                rows.connection[groups.first].tolist(), asked[groups.first].tolist(), strict=True
-            )
-        ]
-        missing = [place for place, key in enumerate(keys) if key not in self._kinds]
-        forms = [(keys[place][0], keys[place][1] & ~_ADDRESS) for place in missing]
-        unknown = {
-            form: int(groups.first[place])
-            for form, place in zip(forms, missing, strict=True)
-            if form not in self._forms
-        }
-        made = self._objects.of(rows, usual).chosen(np.array([*unknown.values()], np.int64))
-        self._forms.update(zip(unknown, made, strict=True))
-        namer = self._objects.namer
-        for place, form in zip(missing, forms, strict=True):
-            key, one = keys[place], self._forms[form]
-            address = key[1] >> 16 & 0xFFFF
-            if one.address != address and key[1] >= 0:
-                one = namer.as_kind(structs.replace(one, address=address))
-            self._kinds[key] = one
-        known: dict[tuple[_Place, int], int] = {}
-        form_of = [known.setdefault((end, one & ~_ADDRESS), len(known)) for end, one in keys]
-        return KindsOfRows([self._kinds[key] for key in keys], form_of, groups.number)
+        asked = np.where(usual.is_usual, usual.asked >> 32, -1)
+        groups = Groups(place_of[rows.connection] << 32 | asked + 1)
+        ends, first = rows.connection[groups.first].tolist(), asked[groups.first].tolist()
+        keys = [(places[end], one) for end, one in zip(ends, first, strict=True)]
+        missing = [place for place, key in enumerate(keys) if key not in likes]
+        made = self.objects.chosen(groups.first[missing])
+        likes.update(zip([keys[place] for place in missing], made, strict=True))
+        return [likes[key] for key in keys], groups.number
+
+
+class BlockRun(QuietRun):
+    """Consecutive rows (transactions) of a block as a QuietRun."""
+
+    def __init__(
+        self,
+        polls: BlockPolls,
+        begin: int,
+        end: int,
+        connections: list[QuietConnection],
+        opened_and_closed: list[ConnectionCounts],
+        last_event_ns: int,
+    ) -> None:
+        """Take the rows with the indices `begin` to `end` (exclusive)."""
+        self._polls = polls
+        self._begin = begin
+        self._some = slice(begin, end)
+        self.connections = connections
+        self.opened_and_closed = opened_and_closed
+        self.last_event_ns = last_event_ns
+
+    def __len__(self) -> int:
+        return self._some.stop - self._begin
+
+    @cached_property
+    def rows(self) -> RunRows:
+        polls, some = self._polls, self._some
+        return RunRows(
+            [polls.ends[one] for one in polls.connection[some].tolist()],
+            polls.asked[some].tolist(),
+            polls.usual.exception[some].tolist(),
+            polls.rows.request_ns[some].tolist(),
+            self._latencies.tolist(),
+            polls.rows.request_size[some].tolist(),
+            polls.rows.response_size[some].tolist(),
+        )
+
+    @property
+    def _latencies(self) -> Int64s:
+        rows = self._polls.rows
+        return rows.response_ns[self._some] - rows.request_ns[self._some]
+
+    @cached_property
+    def forms(self) -> list[AlikeRequests]:
+        groups, rows = self._by_form, self._polls.rows
+        request_ns = rows.request_ns[self._some][groups.order]
+        response_ns = rows.response_ns[self._some][groups.order]
+        likes, form = self._polls.forms
+        found = [*map(AlikeRequests._make, zip(
+            [likes[one] for one in form[self._some][groups.first].tolist()],
+            _lists(groups, groups.order),
+            np.minimum.reduceat(request_ns, groups.starts).tolist(),
+            np.maximum.reduceat(response_ns, groups.starts).tolist(),
+            strict=True,
+        ))]  # fmt: skip
+        return [found[one] for one in np.argsort(groups.first).tolist()]
+
+    @cached_property
+    def _by_form(self) -> Groups:
+        return Groups(self._polls.forms[1][self._some])
+
+    def stays(self, held: Collection[PollName], limit: int, few: int = 0) -> Stays:
+        groups, names = self._by_poll, self._names
+        known = [*map(held.__contains__, names)]
+        before = [number for number, is_known in enumerate(known) if is_known]
+        oldest: list[PollName] = []
+        if len(held) + len(names) - len(before) > limit:
+            # Of the polls without a request, only the oldest can be dropped: at most as many as
+            # there are requests, while at most as many of the older ones get a request.
+            oldest = [*islice(held, 2 * len(self))]
+            numbers = {name: number for number, name in enumerate(names)}
+            some = [numbers.get(name, -1 - place) for place, name in enumerate(oldest)]
+            before = [*some, *{*before}.difference(some)]
+        room = limit - len(held) + len(before)
+        fresh = count().__next__
+        # The cache gives each poll the number of its stay. They count from 0 in the order in which
+        # stays begin; those of `before` are first.
+        stay_of = lru_cache(room)(lambda _: fresh())
+        uses = np.fromiter(map(stay_of, chain(before, groups.number.tolist())), np.int64)
+        last = np.zeros(fresh(), np.int64)
+        last[uses] = np.arange(len(uses))  # Of equal indices, the last one counts.
+        is_left = np.zeros(len(last), np.bool_)
+        is_left[np.argsort(last)[-room:]] = True
+        number = uses[len(before) :]
+        stays = Groups(number)
+        first, places = number[stays.first], _lists(stays, stays.order)
+        has_few = (first >= len(before)) & (stays.ends - stays.starts <= few)
+        is_passing = ~is_left[first] & has_few
+        polls = groups.number[stays.first].tolist()
+
+        def of(are: Bools) -> list[Stay]:
+            chosen = np.flatnonzero(are)
+            return [
+                Stay(names[polls[one]], int(first[one]) - len(before), places[one])
+                for one in chosen[np.argsort(last[first[chosen]])].tolist()
+            ]
+
+        # The first use of each of `before` is its own place.
+        unused = ~is_left[: len(before)] & (last[: len(before)] == np.arange(len(before)))
+        passing = np.flatnonzero(is_passing[stays.number])
+        exception = self._polls.usual.exception[self._some]
+        _, ends = np.unique(number << 9 | exception + 1, return_index=True)
+        return Stays(
+            dropped=[
+                names[one] if one >= 0 else oldest[-1 - one]
+                for one, is_dropped in zip(before, unused.tolist(), strict=True)
+                if is_dropped
+            ],
+            ended=of(~is_left[first] & ~is_passing),
+            passing=passing[np.argsort(last[number[passing]], kind="stable")].tolist(),
+            left=of(is_left[first]),
+            begun=len(last) - len(before),
+            fresh=np.sort(ends[number[ends] >= len(before)]).tolist(),
+        )
+
+    @cached_property
+    def _by_poll(self) -> Groups:
+        return Groups(self._polls.poll[self._some])
+
+    @cached_property
+    def _names(self) -> list[PollName]:
+        """The name of each poll of the rows, in the order of their numbers."""
+        names = self._polls.names
+        return [names[one] for one in self._polls.poll[self._some][self._by_poll.first].tolist()]
+
+    def slow(self, least_ns: int, most: int | None = None) -> list[tuple[int, int]]:
+        latency = self._latencies
+        places = _slowest(latency, least_ns, most, self._polls.poll[self._some])
+        return [*zip(places.tolist(), latency[places].tolist(), strict=True)]
+
+    def like(self, place: int) -> NamedTransaction:
+        polls, row = self._polls, self._begin + place
+        rows, usual, (likes, form) = polls.rows, polls.usual, polls.forms
+        begin_ns, end_ns = rows.request_ns.item(row), rows.response_ns.item(row)
+        asking, answering = self.packets(place)
+        address, quantity = usual.address.item(row), usual.quantity.item(row)
+        table = FUNCTIONS[rows.code.item(row)].table
+        assert table is not None
+        return structs.replace(
+            likes[form.item(row)],
+            file=rows.block.file,
+            source=polls.ends[polls.connection.item(row)][1],
+            transaction_id=rows.transaction_id.item(row),
+            request_ns=begin_ns,
+            response_ns=end_ns,
+            latency_ns=end_ns - begin_ns,
+            request_packet=asking,
+            response_packet=answering,
+            address=address,
+            quantity=quantity,
+            reference=write_reference(None, table, address, quantity),
+        )
+
+    def packets(self, place: int) -> tuple[int, int]:
+        rows, row = self._polls.rows, self._begin + place
+        number = rows.block.first_number
+        return number + rows.request.item(row), number + rows.response.item(row)
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        return self._polls.objects.some(self._begin, self._some.stop)
+
+
+def _slowest(latency: Int64s, least_ns: int, most: int | None, group: Numbers) -> Int64s:
+    """Return the indices of the latencies that are at least `least_ns`, sorted. Of those with equal
+    numbers in `group`, at most `most`: the longest ones, and among equal ones the first.
+    """
+    places = np.flatnonzero(latency >= least_ns)
+    if most is None or not len(places):
+        return places
+    places = places[np.argsort(-latency[places], kind="stable")]
+    groups = Groups(group[places])
+    rank = np.arange(len(places)) - np.repeat(groups.starts, groups.ends - groups.starts)
+    return np.sort(places[groups.order[rank < most]])
+
+
+def _lists(groups: Groups, values: Numbers | Bools) -> list[list[int]]:
+    """Return the values of each group as a list; `values` are in the order of `groups.order`."""
+    each: list[int] = values.tolist()
+    bounds = zip(groups.starts.tolist(), groups.ends.tolist(), strict=True)
+    return [each[start:stop] for start, stop in bounds]
+
+
+def _numbers(values: Sequence[Hashable]) -> Int64s:
+    """Return a number for each value: equal values get equal numbers. Numbers count from 0 in the
+    order in which values first appear.
+    """
+    known = {value: number for number, value in enumerate(dict.fromkeys(values))}
+    return np.array([known[value] for value in values], np.int64)
 
 
 def _places(rows: PlainRows) -> list[_Place]:
@@ -144,50 +347,3 @@ def items_in_packet_order(
         while number < len(places) and places[number] == end:
             yield records[number][1]
             number += 1
-
-
-def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> AnsweredRun:
-    """Return the rows with the indices `begin` to `end` (exclusive), all of them usual reads and
-    writes, as one AnsweredRun.
-    """
-    some = slice(begin, end)
-    request_ns, response_ns = rows.request_ns[some], rows.response_ns[some]
-    groups = Groups(kinds.kind[some])
-    order, starts = groups.order, groups.starts
-    by_first = np.argsort(groups.first)
-    number = np.empty(len(starts), np.int64)
-    number[by_first] = np.arange(len(starts))
-    latencies = (response_ns - request_ns)[order].tolist()
-    times = request_ns[order].tolist()
-    first_ns = np.minimum.reduceat(request_ns[order], starts)
-    last_ns = np.maximum.reduceat(response_ns[order], starts)
-    alike = [
-        AlikeRequests(
-            kinds.likes[which],
-            stop - start,
-            begin_ns,
-            end_ns,
-            times[start:stop],
-            latencies[start:stop],
-            partial(_packets_of, rows, order[start:stop], begin),
-            kinds.form[which],
-        )
-        for which, start, stop, begin_ns, end_ns in zip(
-            kinds.kind[some][groups.first[by_first]].tolist(),
-            starts[by_first].tolist(),
-            groups.ends[by_first].tolist(),
-            first_ns[by_first].tolist(),
-            last_ns[by_first].tolist(),
-            strict=True,
-        )
-    ]
-    kind = number[groups.number].tolist()
-    return AnsweredRun(alike, kind, request_ns.tolist(), response_ns.tolist())
-
-
-def _packets_of(rows: PlainRows, places: Int64s, begin: int, index: int) -> tuple[int, int]:
-    """Return the packets of request and response of one of the rows that are `places` behind the
-    row `begin`.
-    """
-    row, first = begin + int(places[index]), rows.block.first_number
-    return first + int(rows.request[row]), first + int(rows.response[row])

@@ -11,48 +11,35 @@ object of each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import structs
 
 from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.passed_connections import PassedConnections
 from mbtool.columns.plain_transactions import PlainObjects
-from mbtool.columns.poll_runs import PollRuns, run_of
+from mbtool.columns.poll_runs import BlockPolls, BlockRun, Likes
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
 from mbtool.devices.checking.connections import MAX_RECENT
-from mbtool.devices.checking.quiet_run import (
-    QuietConnection,
-    QuietPoll,
-    QuietRequest,
-    QuietRun,
-)
-from mbtool.ledger.answered_reads import AnsweredReads, SlowRead, ValueChanges
-from mbtool.ledger.answered_run import ConnectionCounts
-from mbtool.modbus.functions import (
-    GATEWAY_EXCEPTIONS,
-    WRITE_ONE,
-    WRITE_SEVERAL,
-)
+from mbtool.devices.checking.quiet_run import ConnectionCounts, QuietConnection
+from mbtool.ledger.answered_reads import AnsweredReads, ValueChanges
+from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from mbtool.columns.arrays import Numbers
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.poll_runs import KindsOfRows
     from mbtool.core import Connection, WireEvent
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Namer
-    from mbtool.ledger.answered_run import AnsweredRun
 
 # Finds in a block of a capture when the registers and bits that a poll reads or writes changed.
 
@@ -71,18 +58,57 @@ class BlockValues:
     def words(self) -> bytes:
         return self._usual.response_values(self._places).numbers.tobytes()
 
-    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
+    def changes(
+        self, before: Sequence[int] | None, place: int, *, every: bool = False
+    ) -> ValueChanges:
         values = self._usual.value_of(self._places, place)
         has_changed = np.ones(len(values), np.bool_)
-        has_changed[1:] = values[1:] != values[:-1]
-        has_changed[0] = before is None or values[0] != before[place]
+        has_changed[1:] = every | (values[1:] != values[:-1])
+        has_changed[0] = every or before is None or values[0] != before[place]
         rows = self._places[has_changed]
         return ValueChanges(
             rows.tolist(), self._rows.response_ns[rows].tolist(), values[has_changed].tolist()
         )
 
 
-_WRITES = [*WRITE_ONE - {0x16}, *WRITE_SEVERAL]
+class BlockReads:
+    """Answered reads and writes of a block by poll, sorted by their first rows. Implements
+    AnsweredValues.
+    """
+
+    def __init__(self, polls: BlockPolls, begin: int, end: int) -> None:
+        """Take the rows (transactions) with the indices `begin` to `end` (exclusive)."""
+        self._polls = polls
+        self._rows: Int64s = np.flatnonzero(polls.usual.exception[begin:end] < 0) + begin
+        number = polls.poll[self._rows]
+        if polls.has_masters:
+            of_slaves = polls.unit[self._rows] << 48 | polls.asked[self._rows]
+            _, number = np.unique(of_slaves, return_inverse=True)
+        self._groups = Groups(number)
+        self._by_first = np.argsort(self._groups.first)
+
+    def __len__(self) -> int:
+        return len(self._by_first)
+
+    @cached_property
+    def asked(self) -> list[tuple[str, int, int, int, int]]:
+        names = self._polls.names
+        first = self._rows[self._groups.first[self._by_first]]
+        found = [names[one] for one in self._polls.poll[first].tolist()]
+        return [
+            (link, unit, code, address, quantity)
+            for link, _, unit, code, _, address, quantity, _, _ in found
+        ]
+
+    def __getitem__(self, index: int) -> AnsweredReads:
+        groups, one = self._groups, self._by_first[index]
+        rows = self._rows[groups.order[groups.starts[one] : groups.ends[one]]]
+        return AnsweredReads(
+            self._polls.rows.request_ns[rows].tolist(),
+            BlockValues(self._polls.rows, self._polls.usual, rows),
+        )
+
+
 _EVENT, _RECORD, _ROW = range(3)
 _FIRST = itemgetter(0)
 FEWEST = 24
@@ -102,12 +128,10 @@ class QuietParts:
     connections that were read from arrays as a whole.
     """
 
-    def __init__(self, namer: Namer, *, exceptions: bool = True) -> None:
-        """Without `exceptions`, a transaction whose response is an exception is an object."""
-        self._exceptions = exceptions
+    def __init__(self, namer: Namer) -> None:
         self._objects = PlainObjects(namer)
         self._sunspec = SunSpecRows()
-        self._runs = PollRuns(self._objects)
+        self._likes: Likes = {}
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | BlockRows]:
         """Yield the transactions and events of a block in the order in which packets completed
@@ -124,16 +148,12 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(
-            rows, self._objects, self._sunspec, self._runs, exceptions=self._exceptions
-        )
+        block = _QuietBlock(rows, self._objects, self._sunspec, self._likes)
         yield from block.parts(records, passed)
 
 
 class _QuietBlock:
-    """The transactions of a block that were read from arrays. Each has two numbers: transactions
-    with equal first numbers belong to the same poll, with equal second numbers to the same
-    connection.
+    """The transactions of a block that were read from arrays.
 
     An item is a transaction (a row), an event of a connection that was read as a whole, or a record
     of the Decoder; items are in the order in which packets completed them.
@@ -144,40 +164,17 @@ class _QuietBlock:
         rows: PlainRows,
         objects: PlainObjects,
         sunspec: SunSpecRows,
-        runs: PollRuns,
-        *,
-        exceptions: bool,
+        likes: Likes,
     ) -> None:
         self._rows = rows
-        self._runs = runs
         self._usual = usual = UsualValues(rows)
         self._objects = objects.of(rows, usual)
-        asked = rows.code << 32 | usual.address << 16 | usual.quantity
         usual.is_usual &= ~(sunspec.find(rows, usual) | self._objects.have_profile())
-        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS]) if exceptions else (
-            usual.exception >= 0
-        )  # fmt: skip
+        is_apart = np.isin(usual.exception, [*GATEWAY_EXCEPTIONS])
+        self._polls = BlockPolls(rows, usual, self._objects, likes)
+        self._connection = narrow(self._polls.connection)
         self._is_quiet = self._without_findings(usual.is_usual & ~is_apart)
-        known = {one: number for number, one in enumerate(dict.fromkeys(rows.connections))}
-        self._ends = [(one.link, str(one.master), str(one.slave)) for one in known]
-        self._hosts = [one.master.host for one in known]
-        numbers = np.array([known[one] for one in rows.connections], np.int64)
-        self._connection = narrow(numbers[rows.connection])
         self._is_quiet &= ~_overlap(rows, self._connection)
-        self._writes = np.flatnonzero(np.isin(rows.code, _WRITES) & self._is_quiet)
-        link = _numbers([link for link, _, _ in self._ends])
-        self._link_host = _numbers([*zip(link.tolist(), self._hosts, strict=True)])
-        self._unit = link[self._connection] << 8 | rows.unit
-        _, kind = np.unique(asked, return_inverse=True)
-        _, poll = np.unique(kind << 32 | self._unit, return_inverse=True)
-        self._poll = narrow(poll)
-        self._master_poll = self._poll
-        """By row, the number of its poll, where equal requests of two masters are two polls."""
-        if self._link_host.max(initial=0) > link.max(initial=0):
-            of_masters = self._link_host[self._connection] << 8 | rows.unit
-            _, poll = np.unique(kind << 32 | of_masters, return_inverse=True)
-            self._master_poll = narrow(poll)
-        self._known = known
         self._row_items = self._rows_before = self._events_before = np.zeros(0, np.int64)
         """The item of each row; for each item, the number of rows (events) before it."""
         self._events = _no_events()
@@ -190,7 +187,7 @@ class _QuietBlock:
         items.
         """
         if passed is not None:
-            self._events = _connection_events(passed, self._known)
+            self._events = _connection_events(passed, self._polls.known)
         events, rows = self._events, self._rows
         keys = np.concatenate([
             events.key, np.array([key for key, _ in records], np.int64), order_of(rows.response),
@@ -259,85 +256,25 @@ class _QuietBlock:
         first, last = self.rows_of(begin, end)
         return end if first + count >= last else int(self._row_items[first + count])
 
-    def transaction(self, index: int) -> NamedTransaction:
-        return self._objects.transaction_of_row(index)
-
     def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
         return self._objects.chosen(indices)
 
     def transactions(self, begin: int, end: int) -> Iterator[NamedTransaction]:
         return self._objects.some(begin, end)
 
-    def run(self, begin: int, end: int) -> QuietRun:
+    def run(self, begin: int, end: int) -> BlockRun:
         """Return the figures about items, all of them quiet rows and events."""
-        first, last = self.rows_of(begin, end)
-        polls = cache(partial(self._quiet_polls, first, last))
-        return QuietRun(
+        event, until = self._events_before[[begin, end]].tolist()
+        return BlockRun(
+            self._polls,
+            *self.rows_of(begin, end),
             self._quiet_connections(begin, end),
-            lambda: polls()[0],
-            lambda: self._quiet_requests(self._writes_of(first, last), first, polls()[1]),
-            lambda: self._quiet_requests(np.arange(first, last), first, polls()[1]),
-            self._head,
-            self._events.last_ns(*self._events_before[[begin, end]].tolist()),
-            has_exceptions=bool((self._usual.exception[first:last] >= 0).any()),
+            self._opened_and_closed(event, until),
+            self._events.last_ns(event, until),
         )
 
-    def answered(self, begin: int, end: int) -> AnsweredRun:
-        """Return items, all of them quiet rows and events, grouped by poll."""
-        found = run_of(self._rows, self._kinds, *self.rows_of(begin, end))
-        event, until = self._events_before[[begin, end]].tolist()
-        if event < until:
-            found.connections = self._opened_and_closed(event, until)
-        return found
-
-    def reads(self, begin: int, end: int) -> list[AnsweredReads]:
-        rows, usual, groups = self._rows, self._usual, Groups(self._poll[begin:end])
-        by_first = np.argsort(groups.first)
-        order = groups.order + begin
-        first = order[groups.starts[by_first]]
-        times = rows.request_ns[order].tolist()
-        links = [rows.connections[one].link for one in rows.connection[first].tolist()]
-        fields = (rows.unit, rows.code, usual.address, usual.quantity)
-        return [
-            AnsweredReads(
-                link,
-                unit,
-                code,
-                address,
-                quantity,
-                times[at:until],
-                BlockValues(rows, usual, order[at:until]),
-            )
-            for link, unit, code, address, quantity, at, until in zip(
-                links,
-                *(each[first].tolist() for each in fields),
-                groups.starts[by_first].tolist(),
-                groups.ends[by_first].tolist(),
-                strict=True,
-            )
-        ]
-
-    def slow(self, begin: int, end: int, least_ns: int, most: int) -> Iterator[SlowRead]:
-        rows = self._rows
-        latency = rows.response_ns[begin:end] - rows.request_ns[begin:end]
-        places = np.flatnonzero(latency >= least_ns)
-        # Among equal latencies, the earlier ones count as longer.
-        order = places[np.lexsort((places, -latency[places]))]
-        groups = _rows_by_number(self._unit[begin:end][order], 0, len(order)) if len(order) else []
-        longest = [order[np.sort(group)[:most]] for group in groups]
-        for place in sorted(one for group in longest for one in group.tolist()):
-            index = begin + place
-            yield SlowRead(
-                place,
-                rows.connections[rows.connection[index]].link,
-                int(rows.unit[index]),
-                int(latency[place]),
-                partial(self.transaction, index),
-            )
-
-    @cached_property
-    def _kinds(self) -> KindsOfRows:
-        return self._runs.kinds_of(self._rows, self._usual)
+    def reads(self, begin: int, end: int) -> BlockReads:
+        return BlockReads(self._polls, begin, end)
 
     def _without_findings(self, is_answered: Bools) -> Bools:
         """Return for each answered row True if it gives no finding. Without a profile, that depends
@@ -356,69 +293,6 @@ class _QuietBlock:
         is_quiet = np.zeros(len(form), np.bool_)
         is_quiet[places] = np.array(is_clean, np.bool_)[kind]
         return is_quiet
-
-    def _head(self, index: int) -> NamedTransaction:
-        """Return the transaction of a row with the values and bytes of an equal request."""
-        rows, kinds, number = self._rows, self._kinds, self._rows.block.first_number
-        begin_ns, end_ns = rows.request_ns.item(index), rows.response_ns.item(index)
-        return structs.replace(
-            kinds.likes[kinds.kind.item(index)],
-            file=rows.block.file,
-            source=self._ends[self._connection.item(index)][1],
-            transaction_id=rows.transaction_id.item(index),
-            request_ns=begin_ns,
-            response_ns=end_ns,
-            latency_ns=end_ns - begin_ns,
-            request_packet=number + rows.request.item(index),
-            response_packet=number + rows.response.item(index),
-        )
-
-    def _quiet_polls(self, begin: int, end: int) -> tuple[list[QuietPoll], Int64s]:
-        """Return the polls of rows, sorted by their last rows; and the index of each row's poll."""
-        rows, usual = self._rows, self._usual
-        groups = Groups(self._master_poll[begin:end])
-        by_last = np.argsort(groups.last)
-        first = (groups.first + begin)[by_last]
-        times = rows.request_ns[begin:end][groups.order].tolist()
-        bounds = zip(groups.starts[by_last].tolist(), groups.ends[by_last].tolist(), strict=True)
-        fields = zip(
-            [self._ends[one][0] for one in self._connection[first].tolist()],
-            [self._hosts[one] for one in self._connection[first].tolist()],
-            rows.unit[first].tolist(),
-            rows.code[first].tolist(),
-            usual.address[first].tolist(),
-            usual.quantity[first].tolist(),
-            first.tolist(),
-            [times[start:stop] for start, stop in bounds],
-            strict=True,
-        )
-        polls = [*map(QuietPoll._make, fields)]  # Faster than calling QuietPoll.
-        number = np.empty(len(first), np.int64)
-        number[by_last] = np.arange(len(first))
-        return polls, number[groups.number]
-
-    def _writes_of(self, begin: int, end: int) -> Int64s:
-        first, last = np.searchsorted(self._writes, (begin, end)).tolist()
-        return self._writes[first:last]
-
-    def _quiet_requests(self, chosen: Int64s, begin: int, polls: Int64s) -> list[QuietRequest]:
-        """Return the requests of the chosen rows; `polls` has the index of the poll of each row
-        from `begin` on.
-        """
-        rows, number = self._rows, self._rows.block.first_number
-        ends = [self._ends[one] for one in self._connection[chosen].tolist()]
-        requests, responses = rows.request[chosen] + number, rows.response[chosen] + number
-        fields = zip(
-            polls[chosen - begin].tolist(),
-            [source for _, source, _ in ends],
-            [destination for _, _, destination in ends],
-            rows.request_ns[chosen].tolist(),
-            chosen.tolist(),
-            zip(requests.tolist(), responses.tolist(), strict=True),
-            self._usual.exception[chosen].tolist(),
-            strict=True,
-        )
-        return [*map(QuietRequest._make, fields)]
 
     def _quiet_connections(self, begin: int, end: int) -> list[QuietConnection]:
         """Return the connections of items, in the order of their last requests or openings."""
@@ -455,7 +329,7 @@ class _QuietBlock:
             pairwise(bounds),
             strict=True,
         ):
-            link, master, slave = self._ends[int(one)]
+            link, master, slave = self._polls.ends[int(one)]
             _, opened_ns = opened.pop(one, (0, None))
             connection = QuietConnection(
                 link, master, slave, frozenset(some), first_ns, least_ns, request, response,
@@ -464,7 +338,9 @@ class _QuietBlock:
             found.append((item, connection))
         for one, (number_, at_ns) in opened.items():  # The rows of these come later.
             item = int(np.searchsorted(self._events_before, number_, side="right")) - 1
-            none = QuietConnection(*self._ends[one], frozenset(), at_ns, at_ns, 0, 0, [], at_ns)
+            none = QuietConnection(
+                *self._polls.ends[one], frozenset(), at_ns, at_ns, 0, 0, [], at_ns
+            )
             found.append((item, none))
         return [one for _, one in sorted(found, key=_FIRST)]
 
@@ -472,7 +348,7 @@ class _QuietBlock:
         """Count the openings and closings with the numbers `event` to `until` (exclusive)."""
         events = self._events
         numbers = events.connection[event:until]
-        pairs = self._link_host[numbers]
+        pairs = self._polls.link_host[numbers]
         found = []
         for pair in distinct(pairs):
             places = np.flatnonzero(pairs == pair)
@@ -480,7 +356,8 @@ class _QuietBlock:
             opened = places[steps > 0] + event
             one = int(numbers[places[0]])
             found.append(ConnectionCounts(
-                self._ends[one][0], self._hosts[one], len(opened), len(places) - len(opened),
+                self._polls.ends[one][0], self._polls.hosts[one],
+                len(opened), len(places) - len(opened),
                 max(int(np.cumsum(steps).max()), 0),
                 int(events.ts_ns[opened[0]]) if len(opened) else None,
             ))  # fmt: skip
@@ -599,39 +476,12 @@ class BlockRows:
     def records(self, count: int) -> Iterator[Record]:
         return self._block.items(self._begin, self._block.behind(self._begin, self._end, count))
 
-    def run(self) -> QuietRun:
-        """The figures about these transactions that the rules of `check` need."""
+    @cached_property
+    def run(self) -> BlockRun:
+        """The figures about these transactions, for rules, account and troubles."""
         return self._block.run(self._begin, self._end)
 
-    def answered(self) -> AnsweredRun:
-        """The transactions grouped by poll, for statistics and the inventory."""
-        return self._block.answered(self._begin, self._end)
-
-    def reads(self) -> list[AnsweredReads]:
-        """The reads by poll, for charts over time. The polls are sorted by their first rows."""
+    @cached_property
+    def reads(self) -> BlockReads:
+        """The values of the answered reads and writes, by poll."""
         return self._block.reads(*self._rows)
-
-    def slow(self, least_ns: int, most: int) -> Iterator[SlowRead]:
-        """Yield the reads that took `least_ns` or longer, in order: of each unit at most `most`,
-        the longest ones.
-        """
-        return self._block.slow(*self._rows, least_ns, most)
-
-
-def _numbers(values: Sequence[Hashable]) -> Int64s:
-    """Return a number for each value: equal values get equal numbers. Numbers count from 0 in the
-    order in which values first appear.
-    """
-    known = {value: number for number, value in enumerate(dict.fromkeys(values))}
-    return np.array([known[value] for value in values], np.int64)
-
-
-def _rows_by_number(group: Numbers, begin: int, end: int) -> list[Int64s]:
-    """Group the rows with the indices `begin` to `end` (exclusive) that have equal numbers in
-    `group`.
-
-    Returns the indices of the rows of each group. The groups are sorted by their last rows.
-    """
-    groups = Groups(group[begin:end])
-    found = np.split(groups.order + begin, groups.starts[1:])
-    return [found[one] for one in np.argsort(groups.last).tolist()]

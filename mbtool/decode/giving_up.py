@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from mbtool.decode.master_habits import MIN_LATE_NS
+from mbtool.decode.master_habits import MIN_LATE_NS, MasterHabits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.open_requests import OpenRequest
     from mbtool.decode.pairing_readings import PairReading
     from mbtool.modbus.adu import Adu

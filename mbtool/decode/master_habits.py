@@ -4,12 +4,11 @@ respond.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import sub
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.decode.open_requests import OpenRequest
 
 LATE = 1.5

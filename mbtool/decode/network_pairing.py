@@ -48,7 +48,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Iterator
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -76,7 +77,7 @@ from mbtool.decode.pairing_readings import (
     without_costly,
     without_pipelined,
 )
-from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, PlainStretch
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -90,13 +91,7 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import unfinished_in
 from mbtool.modbus.adu import Adu, Skipped, Verdict
-from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.decode.plain_stretch import PlainStretch
-    from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 _Costed = TypeVar("_Costed", bound=tuple[Any, ...])
 

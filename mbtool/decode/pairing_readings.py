@@ -24,6 +24,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,8 +33,6 @@ from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
 from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu

@@ -42,8 +42,8 @@ def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[P
     """
     touched = [
         point
-        for point in profile.points
-        if _touches(point, span) and _is_in_table(profile, point, table)
+        for first, last, point in profile.point_spans
+        if first < span.stop and last >= span.start and _is_in_table(profile, point, table)
     ]
     in_blocks = [point for point in touched if point.block is not None]
     others = [point for point in touched if point.block is None and point.allows(writing=False)]
@@ -52,16 +52,6 @@ def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[P
 
 def _addresses(points: list[Point], span: range) -> set[int]:
     return {at for point in points for at in point.all_addresses if at in span}
-
-
-def _touches(point: Point, span: range) -> bool:
-    """True if `span` contains an address of the point.
-
-    Here, a point in a block also has all addresses from the block's first one up to its own.
-    """
-    last = point.addresses[-1] + point.words - 1
-    first = point.address if point.block is None else point.block
-    return first < span.stop and last >= span.start
 
 
 def _is_in_table(profile: Profile, point: Point, table: Table) -> bool:

@@ -440,6 +440,12 @@ class Profile(_Part, frozen=True, kw_only=True, dict=True):
         at = bisect_right(firsts, span.start) - 1
         return span.stop <= span.start or (at >= 0 and span.stop <= ends[at])
 
+    def ranges(self, table: Table, *, writing: bool) -> list[tuple[int, int]]:
+        """Return the ranges of addresses that a master may write, or read if `writing` is False:
+        the first address, and the one behind the last.
+        """
+        return [*zip(*self._allowed[table, writing], strict=True)]
+
     @cached_property
     def _allowed(self) -> dict[tuple[Table, bool], tuple[list[int], list[int]]]:
         """For each table, and True for writing: the first addresses of the ranges that a master may
@@ -461,6 +467,27 @@ class Profile(_Part, frozen=True, kw_only=True, dict=True):
                     ends.append(end)
             allowed[table, writing] = firsts, ends
         return allowed
+
+    @cached_property
+    def notations(self) -> dict[tuple[Table, int, bool], Area | None]:
+        """What references.py has found: for a table, an address and True for writing, the area in
+        whose notation the address is written; None for the neutral notation.
+        """
+        return {}
+
+    @cached_property
+    def point_spans(self) -> list[tuple[int, int, Point]]:
+        """The first and the last address of each point, and the point. Here, a point in a block
+        also has all addresses from the block's first one up to its own.
+        """
+        return [
+            (
+                point.address if point.block is None else point.block,
+                point.addresses[-1] + point.words - 1,
+                point,
+            )
+            for point in self.points
+        ]
 
     @cached_property
     def has_blocks(self) -> bool:

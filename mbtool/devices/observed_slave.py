@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,13 +22,10 @@ from mbtool.devices.identity import answer_word
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.adu import Transport
-    from mbtool.modbus.transaction import Transaction
 
 MAX_REQUESTS = 8192
 MAX_SAMPLED = 512
@@ -165,12 +162,9 @@ class ObservedSlave:
         if not 0 < transaction.function < EXCEPTION_BIT:
             return  # No device has such a function.
         for request, values in _requests(transaction):
-            replies = self.requests.get(request)
+            replies = self._replies(request)
             if replies is None:
-                if len(self.requests) >= MAX_REQUESTS:
-                    self.forgotten += 1
-                    continue
-                replies = self.requests[request] = Replies()
+                continue
             if transaction.exception is not None:
                 replies.exceptions[transaction.exception] += 1
             elif transaction.outcome in (Outcome.OK, Outcome.LATE, Outcome.UNSOLICITED):
@@ -180,6 +174,34 @@ class ObservedSlave:
                     self._sample(request, values, at_ns)
             elif transaction.outcome is not Outcome.NOT_CAPTURED:
                 replies.silent += 1
+
+    def note_usual(self, like: Transaction, address: int, quantity: int) -> bool:
+        """Add an answered read or write: one like `like`, with these addresses. Its values are not
+        sampled. Returns True if its request is a new one.
+        """
+        self.transactions += 1
+        if like.transport not in self.transports:
+            self.transports.add(like.transport.over_tcp)
+        code, function = like.function, FUNCTIONS[like.function]
+        before = len(self.requests)
+        replies = self._replies(
+            ObservedRequest(code, function.table, address, quantity, function.writes)
+        )
+        if replies is not None and like.exception is not None:
+            replies.exceptions[like.exception] += 1
+        elif replies is not None:
+            replies.ok += 1
+        return len(self.requests) > before
+
+    def _replies(self, request: ObservedRequest) -> Replies | None:
+        """Return the replies to a kind of request; None if there are too many kinds."""
+        replies = self.requests.get(request)
+        if replies is None:
+            if len(self.requests) >= MAX_REQUESTS:
+                self.forgotten += 1
+                return None
+            replies = self.requests[request] = Replies()
+        return replies
 
     def _sample(self, request: ObservedRequest, values: Sequence[int], at_ns: int) -> None:
         if request.table is None or request.table.is_bits:

@@ -22,16 +22,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.devices.observed_slave import ObservedSlave
-from mbtool.devices.request_match import compare_with_profile
+from mbtool.devices.request_match import GroupedRequests, MatchCounts, compare_with_profile
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
 
@@ -146,9 +145,16 @@ class MatchResult:
 def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchResult:
     """Compare a slave with profiles, and sort them by how well they explain the slave."""
     in_ascii = slave.transports == {Transport.ASCII}
-    known = slave.known_addresses()
+    known, grouped = slave.known_addresses(), GroupedRequests(slave)
+    addresses = sum(flags.count(1) for flags in known.values())
     matches = [
-        _match(slave, profile.with_limits_of(Transport.ASCII) if in_ascii else profile, known)
+        _match(
+            slave,
+            profile.with_limits_of(Transport.ASCII) if in_ascii else profile,
+            known,
+            addresses,
+            grouped,
+        )
         for profile in profiles
     ]
     # If the slave reported a model code, put the profiles of other models last, even if everything
@@ -164,12 +170,22 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
     return MatchResult(slave, tuple(matches))
 
 
-def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]) -> ProfileMatch:
+def _match(
+    slave: ObservedSlave,
+    profile: Profile,
+    known: dict[Table, bytearray],
+    addresses: int,
+    grouped: GroupedRequests,
+) -> ProfileMatch:
+    """Compare a slave with a profile. `known` has the addresses that the slave accepted, of which
+    there are `addresses`.
+    """
     reasons: list[str] = []
     against: list[str] = []
     is_model, is_other = _compare_models(slave, profile, reasons, against)
     has_name = _compare_names(slave, profile, reasons)
-    explained, contradicted, refused, refusals = _compare_requests(slave, profile, against)
+    explained, contradicted, refused = counts = grouped.compare(profile)
+    refusals = _reasons(slave, profile, counts, against)
     if explained:
         count = explained + contradicted
         what = "the one request" if count == 1 else f"{explained} of {count} different requests"
@@ -177,7 +193,6 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
     contradicted += _compare_exceptions(slave, profile, against)
     contradicted += _compare_transports(slave, profile, against)
     contradicted += _compare_unit(slave, profile, against)
-    addresses = sum(flags.count(1) for flags in known.values())
     named = min(_count_named(known, profile), addresses)
     if named:
         reasons.append(f"names {named} of {addresses} addresses asked for")
@@ -196,29 +211,24 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
     )
 
 
-def _compare_requests(
-    slave: ObservedSlave, profile: Profile, against: list[str]
-) -> tuple[int, int, int, list[str]]:
-    """Return the number of different requests that ended as the profile predicts, the number of
-    those that did not, the number of those that the slave refused as predicted, and a sentence for
-    each of the first _MAX_REASONS of these.
-
-    Adds a sentence to `against` for each request that ended otherwise, until it has _MAX_REASONS:
-    to write the references of thousands of requests would take long.
+def _reasons(
+    slave: ObservedSlave, profile: Profile, counts: MatchCounts, against: list[str]
+) -> list[str]:
+    """Return a sentence for each of the first _MAX_REASONS requests that the slave refused as
+    predicted. Adds a sentence to `against` for each that ended otherwise, until it has
+    _MAX_REASONS. `counts` has the numbers of both.
     """
-    explained = contradicted = refused = 0
     refusals: list[str] = []
+    most_refusals = min(counts.refused, _MAX_REASONS)
+    most_against = min(len(against) + counts.contradicted, _MAX_REASONS)
     for one in compare_with_profile(slave, profile):
-        if one.is_against:
-            contradicted += 1
-            if len(against) < _MAX_REASONS:
-                against.append(f"{one.reference} {one.end}, though {one.rule}")
-            continue
-        explained += 1
-        refused += not one.is_accepted
-        if not one.is_accepted and len(refusals) < _MAX_REASONS:
+        if len(refusals) == most_refusals and len(against) >= most_against:
+            break  # To compare thousands of requests one by one would take long.
+        if one.is_against and len(against) < most_against:
+            against.append(f"{one.reference} {one.end}, though {one.rule}")
+        elif not one.is_against and not one.is_accepted and len(refusals) < most_refusals:
             refusals.append(f"{one.reference} refused, as {one.rule}")
-    return explained, contradicted, refused, refusals
+    return refusals
 
 
 def _compare_models(

@@ -38,6 +38,10 @@ SHORT_WORDS = {
 """For each table, the letters before the address on the wire in a name that mbtool gives: HR10."""
 
 
+MAX_NOTATIONS = 16_384
+"""For at most so many addresses, a profile remembers the area in whose notation it is written."""
+
+
 def write_reference(
     profile: Profile | None,
     table: Table,
@@ -100,6 +104,15 @@ def _notation(profile: Profile, table: Table, address: int, *, writing: bool) ->
     can be extended to the address. If one area is for reading and another for writing, `writing`
     chooses between them.
     """
+    notations, key = profile.notations, (table, address, writing)
+    if key not in notations:
+        if len(notations) >= MAX_NOTATIONS:
+            notations.clear()
+        notations[key] = _find_notation(profile, table, address, writing=writing)
+    return notations[key]
+
+
+def _find_notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area

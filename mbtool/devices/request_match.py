@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.block_reads import can_be_read
@@ -15,8 +17,6 @@ from mbtool.modbus.functions import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.devices.model import Profile
     from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
@@ -77,6 +77,92 @@ class PredictedRequest(NamedTuple):
         return f"{text}, but {self.rule}, which is exception {_codes(right)}"
 
 
+class MatchCounts(NamedTuple):
+    """The numbers of different requests to a slave by how they ended, compared with a profile."""
+
+    explained: int
+    """Those that ended as the profile predicts."""
+    contradicted: int
+    refused: int
+    """Those of `explained` that the slave refused."""
+
+
+class _Group(NamedTuple):
+    """Different requests to a slave with one function that ended alike."""
+
+    request: ObservedRequest
+    """One of them, as an example."""
+    replies: Replies
+    """The replies to that one."""
+    spans: list[tuple[int, int, int]]
+    """The first address, the address behind the last one, and the quantity of each, sorted; empty
+    for requests without addresses."""
+    number: int
+    """The number of requests."""
+
+
+class GroupedRequests:
+    """The different requests to a slave, grouped so that many can be compared at once."""
+
+    def __init__(self, slave: ObservedSlave) -> None:
+        found: dict[tuple[object, ...], list[tuple[ObservedRequest, Replies]]] = {}
+        for request, replies in slave.requests.items():
+            end = replies.ok > 0 or tuple(sorted(replies.exceptions))
+            key = request.function, request.writes, request.table, request.address is None, end
+            found.setdefault(key, []).append((request, replies))
+        self._groups = [
+            _Group(
+                *some[0],
+                sorted(
+                    (one.address, one.span.stop, one.quantity)
+                    for one, _ in some
+                    if one.table is not None and one.address is not None
+                ),
+                len(some),
+            )
+            for some in found.values()
+        ]
+
+    def compare(self, profile: Profile) -> MatchCounts:
+        """Count how the requests ended, as `compare_with_profile` compares each."""
+        explained = contradicted = refused = 0
+        for one in self._groups:
+            limit = _limit(profile, one.request.function, writes=one.request.writes)
+            allowed = _count_allowed(profile, one, limit.most)
+            for is_predicted, number in ((True, allowed), (False, one.number - allowed)):
+                if not number:
+                    continue
+                accepts, other = _ended(profile, one.request, one.replies, is_predicted)
+                if accepts is None:
+                    continue
+                is_against = accepts is not is_predicted or bool(other)
+                contradicted += number * is_against
+                explained += number * (not is_against)
+                refused += number * (not is_against and not accepts)
+        return MatchCounts(explained, contradicted, refused)
+
+
+def _count_allowed(profile: Profile, group: _Group, most: int) -> int:
+    """Return the number of requests that the profile predicts to be accepted; `most` is the
+    greatest quantity of their function.
+    """
+    if not group.spans or not most:
+        return group.number if most else 0
+    table, writes = group.request.table, group.request.writes
+    assert table is not None
+    allowed = [
+        (first, stop)
+        for begin, end in profile.ranges(table, writing=writes)
+        for first, stop, quantity in group.spans[
+            bisect_left(group.spans, (begin,)) : bisect_left(group.spans, (end,))
+        ]
+        if stop <= end and 1 <= quantity <= most
+    ]
+    if writes or not profile.has_blocks:
+        return len(allowed)
+    return sum(can_be_read(profile, table, range(*span)) for span in allowed)
+
+
 def compare_with_profile(slave: ObservedSlave, profile: Profile) -> Iterator[PredictedRequest]:
     """Compare each different request to a slave with a profile; one that tells nothing is left
     out.
@@ -88,9 +174,8 @@ def compare_with_profile(slave: ObservedSlave, profile: Profile) -> Iterator[Pre
         if limit is None:
             limit = limits[function, writes] = _limit(profile, function, writes=writes)
         rule, is_predicted = _predict(profile, request, limit)
-        is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
+        is_accepted, other = _ended(profile, request, replies, is_predicted)
         if is_accepted is not None:
-            is_refusal = not is_accepted and not is_predicted
             yield PredictedRequest(
                 profile,
                 request,
@@ -98,8 +183,19 @@ def compare_with_profile(slave: ObservedSlave, profile: Profile) -> Iterator[Pre
                 is_accepted,
                 is_predicted,
                 rule,
-                _other_refusal(profile, request, replies) if is_refusal else "",
+                other,
             )
+
+
+def _ended(
+    profile: Profile, request: ObservedRequest, replies: Replies, is_predicted: bool
+) -> tuple[bool | None, str]:
+    """Return `_observed`, and the text of `_other_refusal` if the slave refused the request as
+    predicted.
+    """
+    is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
+    is_refusal = is_accepted is False and not is_predicted
+    return is_accepted, _other_refusal(profile, request, replies) if is_refusal else ""
 
 
 def _observed(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterable, Sequence
 from functools import cache
 from itertools import accumulate
 from operator import getitem, xor
-from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import Direction, EventKind
 from mbtool.modbus.adu import (
     CRC_BYTES,
     CRC_TABLE,
@@ -18,11 +18,6 @@ from mbtool.modbus.adu import (
     crc,
 )
 from mbtool.modbus.pdu import LAYOUTS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.core import Direction
 
 MIN_FRAME = 4
 """The least size of an RTU frame in bytes: unit, function code and CRC."""

@@ -17,16 +17,15 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from operator import add
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.checking.sliding_window import BEFORE, Stays
 from mbtool.ledger.link_statistics import LinkStatistics
 from mbtool.ledger.master_tape import Lacks
 from mbtool.ledger.observation import Observation
-from mbtool.ledger.poll_statistics import GIVEN_UP, PollKey, PollStatistics, poll_key
+from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.ledger.request_order import RequestOrder
-from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_connections import ConnectionTally
 from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
@@ -38,9 +37,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from mbtool.core import SerialFormat
+    from mbtool.devices.checking.quiet_run import (
+        AlikeRequests,
+        ConnectionCounts,
+        QuietRun,
+        Stay,
+    )
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun, ConnectionCounts
-    from mbtool.ledger.master_tape import MasterTape
+    from mbtool.ledger.master_tape import MasterTape, TapedPoll
+    from mbtool.ledger.request_tally import RequestTally
 
 MAX_POLLS = 2048
 """The most polls with counts of their own; beyond it, the one asked least recently ends, and its
@@ -57,9 +62,8 @@ MAX_PAIRS = 4096
 """The most pairs of link and master whose connections are counted."""
 _MAX_HOSTS = 65_536
 """The most addresses whose host is kept; if there are more, all are forgotten."""
-_FEW = 256
-"""A poll that came and ended within one batch, with at most this many requests, is counted together
-with others of its function: the sums are the same, because no latency is rounded."""
+_FEW = 2
+"""A poll that is removed after at most so many requests belongs to no poll cycle."""
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
 _SUMS_OF_EVENTS = {
@@ -183,22 +187,22 @@ class Account:
             return None
         return self._add_transaction(record)
 
-    def add_run(self, run: AnsweredRun) -> None:
-        """Add a batch of answered requests at once. The counts are the same as if `add` was called
-        for each.
+    def add_run(self, run: QuietRun) -> None:
+        """Add many answered requests at once. The counts are the same as if `add` was called for
+        each.
         """
-        for counts in run.connections:
+        for counts in run.opened_and_closed:
             self._add_connections(counts)
         if not self._has_links(run):
             for one in run.transactions():
                 self._add_transaction(one)
             return
         self.transactions += len(run)
-        forms = run.forms()
-        for form in forms:
-            self._count_form(form)
-        self._count_links(forms)
-        self._order.add_answered(run.request_ns, self._count_polls(run), run.response_ns)
+        uses = [self._count_form(form, run) for form in run.forms]
+        self._count_units(run, uses)
+        rows = run.rows
+        ends_ns = [*map(add, rows.request_ns, rows.latencies_ns)]
+        self._order.add_answered(rows.request_ns, self._count_polls(run, uses), ends_ns)
 
     def begin_capture(self) -> None:
         """Note that the next transaction or event belongs to another capture, perhaps of another
@@ -302,139 +306,135 @@ class Account:
         if use.master is not None:
             use.master.note(one, at_ns, end_ns)
 
-    def _has_links(self, run: AnsweredRun) -> bool:
-        """True if all links of the batch `run` fit below MAX_LINKS, and none of them is a serial
-        line whose bytes have no times.
+    def _has_links(self, run: QuietRun) -> bool:
+        """True if all links of `run` fit below MAX_LINKS, and none of them is a serial line whose
+        bytes have no times.
         """
-        links = {kind.like.link for kind in run.kinds}
+        links = {form.like.link for form in run.forms}
         known = [self.links[link] for link in links if link in self.links]
         if len(self.links) + len(links) - len(known) > MAX_LINKS:
             return False
         return all(link.has_times for link in known)
 
-    def _count_polls(self, run: AnsweredRun) -> list[PollStatistics]:
-        """Count the requests of a batch with their polls; return the poll of each request.
+    def _count_polls(self, run: QuietRun, uses: Sequence[UseAccount]) -> list[TapedPoll]:
+        """Count the requests of `run` with their polls, and return for each its poll. `uses` has
+        the use of each form of its requests.
 
-        If there is no room for all polls, each request is counted by itself, so that the same polls
-        are removed as if `add` was called for each.
+        Where there is no room for all polls, those that come and go within `run` get no entry:
+        their requests are counted with the use of their function at once, which is returned in
+        place of the poll.
         """
-        likes = [kind.like for kind in run.kinds]
-        keys = [poll_key(like, self._host(like.source)) for like in likes]
-        if len(self.polls) + len({*keys} - self.polls.keys()) > MAX_POLLS:
-            return self._count_passing_polls(run, keys, likes)
-        polls = [
-            self._count_poll(key, kind.like, kind.count)
-            for key, kind in zip(keys, run.kinds, strict=True)
-        ]
-        for poll, latencies in run.latencies_of(polls).items():
-            poll.tally.latency.add_all(latencies)
-        # `self.polls` is in the order of the last requests, because the first poll is removed at
-        # the limit.
-        for one in reversed(dict.fromkeys(reversed(run.kind))):
-            self.polls.move_to_end(keys[one])
-        return [polls[kind] for kind in run.kind]
-
-    def _count_passing_polls(
-        self, run: AnsweredRun, keys: Sequence[PollKey], likes: Sequence[NamedTransaction]
-    ) -> list[PollStatistics]:
-        """Count the requests of a batch that has more polls than there is room for. `keys` and
-        `likes` have the key and the example of each group of its requests.
-
-        Most of these polls are added and removed within the batch, so that only their function
-        keeps their counts. Their requests are counted with the function at once.
-        """
-        numbers: dict[PollKey, int] = {key: number for number, key in enumerate(self.polls)}
-        number_of = [numbers.setdefault(key, len(numbers)) for key in keys]
-        stays = Stays(map(number_of.__getitem__, run.kind), range(len(self.polls)), MAX_POLLS)
-        old, names = [*self.polls.values()], [*numbers]
-        made: dict[int, PollStatistics] = {}
-        every = [*stays.ended, *stays.left.items()]
-        for first, number in sorted((places[0], number) for number, places in every):
-            if first != BEFORE:
-                like = likes[run.kind[first]]
-                use = self._use(like, names[number].master)
-                made[first] = PollStatistics(self.polls_seen, names[number], like, use, GIVEN_UP)
-                self.polls_seen += 1
-        polls = [
-            (old[number] if places[0] == BEFORE else made[places[0]], places)
-            for number, places in every
-        ]
-        of_place = {place: poll for poll, places in polls for place in places}
-        of_request = [of_place[place] for place in range(len(run))]
+        held = self.polls
+        stays = run.stays(held, MAX_POLLS, _FEW)
+        asked: list[TapedPoll] = [uses[form] for form in run.form]
+        polls = []
+        for stay in (*stays.ended, *stays.left):
+            key, place = PollKey._make(stay.name), stay.places[0]
+            poll = held.get(key) if stay.number < 0 else None
+            if poll is None:
+                number = self.polls_seen + stay.number
+                poll = PollStatistics(number, key, run.like(place), uses[run.form[place]])
+            polls.append(poll)
+            for place in stay.places:
+                asked[place] = poll
+        self.polls_seen += stays.begun
         if self.observation is not None:
-            self._note_kinds_of(run, of_request)
-        passing: dict[UseAccount, list[int]] = {}
-        """The places of the requests of polls that came and went, by function."""
-        for poll, places in polls[: len(stays.ended)]:
-            if poll.tally is GIVEN_UP and len(places) <= _FEW:
-                passing.setdefault(poll.use, []).extend(places)
-                continue
-            run.count(passing.pop(poll.use, ()), poll.use.tally)
-            _count_stay(run, poll, places)
+            known = zip(polls, (*stays.ended, *stays.left), strict=True)
+            old = ((poll, stay) for poll, stay in known if stay.number < 0)
+            self._note_kinds_of(run, self.observation, uses, stays.fresh, old)
+        for name in stays.dropped:
+            held.pop(PollKey._make(name)).give_up()
+        for stay, poll in zip(stays.ended, polls, strict=False):
+            held.pop(poll.key, None)
+            _count(run, stay.places, poll.tally)
             poll.give_up()
-        for use, some in passing.items():
-            run.count(some, use.tally)
-        self.polls = OrderedDict()
-        for poll, places in polls[len(stays.ended) :]:
-            _count_stay(run, poll, places)
-            self.polls[poll.key] = poll
-        return of_request
+        of_uses: dict[UseAccount, list[int]] = {}
+        for place in stays.passing:
+            of_uses.setdefault(uses[run.form[place]], []).append(place)
+        for use, places in of_uses.items():
+            _count(run, places, use.tally)
+        for stay, poll in zip(stays.left, polls[len(stays.ended) :], strict=True):
+            _count(run, stay.places, poll.tally)
+            held[poll.key] = poll
+            held.move_to_end(poll.key)
+        return asked
 
-    def _note_kinds_of(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
-        """Note what the requests of a batch ask for; `polls` has the poll of each. They are not
-        counted yet.
+    def _note_kinds_of(
+        self,
+        run: QuietRun,
+        observation: Observation,
+        uses: Sequence[UseAccount],
+        fresh: Sequence[int],
+        held: Iterable[tuple[PollStatistics, Stay]],
+    ) -> None:
+        """Note what the requests of `run` ask for, before they are counted: those at the places
+        `fresh`, which are the first ones of new polls, and those of the polls `held` before that
+        end in a new way.
         """
-        known: set[tuple[PollStatistics, int | None]] = set()
-        for kind, poll in zip(run.kind, polls, strict=True):
-            like = run.kinds[kind].like
-            if (poll, like.exception) not in known:
-                known.add((poll, like.exception))
+        for poll, stay in held:
+            for place in {
+                run.rows.exceptions[place]: place for place in reversed(stay.places)
+            }.values():
+                like = run.forms[run.form[place]].like
                 if _is_new_kind(poll.tally, like):
-                    self._note_kind(poll.use, like)
+                    fresh = [*fresh, place]
+        for place in sorted(fresh):
+            like, use, asked = (
+                run.forms[run.form[place]].like,
+                uses[run.form[place]],
+                run.rows.asked[place],
+            )
+            address, quantity = asked >> 16 & 0xFFFF, asked & 0xFFFF
+            use.unit.transports.add(like.transport.value)
+            is_refused, writes = like.exception is not None, FUNCTIONS[like.function].writes
+            use.widen(address, quantity, writes=writes, is_refused=is_refused)
+            observation.note_usual(use.unit, like, address, quantity)
 
-    def _count_poll(self, key: PollKey, like: NamedTransaction, number: int) -> PollStatistics:
-        """Count `number` equal requests of the poll with this key, but not their latencies."""
-        poll = self._poll(key, like)
-        if self.observation is not None and _is_new_kind(poll.tally, like):
-            self._note_kind(poll.use, like)
-        poll.tally.count_alike(like, number)
-        return poll
-
-    def _count_form(self, kind: AlikeRequests) -> None:
-        """Count a group of requests with their link, unit and master."""
-        like = kind.like
+    def _count_form(self, form: AlikeRequests, run: QuietRun) -> UseAccount:
+        """Count a group of requests with their link, unit and master; return their use."""
+        like = form.like
         link = self._link(like.link)
-        link.note_span(like, kind.begin_ns, kind.end_ns)
+        link.note_span(like, form.begin_ns, form.end_ns)
         use = self._use(like, self._host(like.source))
         unit = use.unit
-        unit.note(like, kind.begin_ns, kind.end_ns)
-        unit.answered_ns = max(unit.answered_ns, kind.end_ns)
+        unit.note(like, form.begin_ns, form.end_ns)
+        unit.answered_ns = max(unit.answered_ns, form.end_ns)
         if use.master is not None:
-            use.master.note(like, kind.begin_ns, kind.end_ns)
-        times_ns, latencies_ns = kind.request_ns, kind.latencies
-        if times_ns != sorted(times_ns):
-            pairs = sorted(zip(times_ns, latencies_ns, strict=True))
-            times_ns, latencies_ns = [at for at, _ in pairs], [ns for _, ns in pairs]
+            use.master.note(like, form.begin_ns, form.end_ns)
         if like.outcome is not Outcome.OK:
-            unit.note_failure(like.outcome, times_ns[0])
-            unit.note_failure(like.outcome, times_ns[-1])
-        place = _SUMS_OF_OUTCOMES[like.outcome]
-        for cell, begin, end in unit.bins.cells_of(times_ns):
-            some = latencies_ns[begin:end]
-            for sum_ in (UnitSum.REQUESTS, place, UnitSum.LATENCIES):
-                cell[sum_] += end - begin
-            cell[UnitSum.LATENCY_NS] += sum(some)
-            cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
+            times_ns = [run.rows.request_ns[place] for place in form.places]
+            unit.note_failure(like.outcome, min(times_ns))
+            unit.note_failure(like.outcome, max(times_ns))
+        return use
 
-    def _count_links(self, forms: Iterable[AlikeRequests]) -> None:
-        """Count the requests of a batch over time with their links."""
-        times_of: dict[tuple[str, int], list[int]] = {}
-        for kind in forms:
-            times_of.setdefault((kind.like.link, _size(kind.like)), []).extend(kind.request_ns)
-        for (name, size), times_ns in times_of.items():
-            for cell, begin, end in self.links[name].bins.cells_of(sorted(times_ns)):
+    def _count_units(self, run: QuietRun, uses: Sequence[UseAccount]) -> None:
+        """Count the requests of `run` over time with their units and links; `uses` has the use of
+        each of its forms.
+        """
+        rows, by_time = run.rows, run.rows.request_ns.__getitem__
+        of_units: dict[UnitAccount, list[int]] = {}
+        of_links: dict[str, list[int]] = {}
+        for form, use in zip(run.forms, uses, strict=True):
+            of_units.setdefault(use.unit, []).extend(form.places)
+            of_links.setdefault(form.like.link, []).extend(form.places)
+        for unit, places in of_units.items():
+            places.sort(key=by_time)
+            latencies_ns = [rows.latencies_ns[place] for place in places]
+            refused = [rows.exceptions[place] >= 0 for place in places]
+            for cell, begin, end in unit.bins.cells_of([*map(by_time, places)]):
+                some, exceptions = latencies_ns[begin:end], sum(refused[begin:end])
+                cell[UnitSum.REQUESTS] += end - begin
+                cell[UnitSum.LATENCIES] += end - begin
+                cell[UnitSum.OK] += end - begin - exceptions
+                cell[UnitSum.EXCEPTION] += exceptions
+                cell[UnitSum.LATENCY_NS] += sum(some)
+                cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
+        for link, places in of_links.items():
+            places.sort(key=by_time)
+            sizes = [rows.request_bytes[place] + rows.response_bytes[place] for place in places]
+            for cell, begin, end in self.links[link].bins.cells_of([*map(by_time, places)]):
                 cell[LinkSum.REQUESTS] += end - begin
-                cell[LinkSum.BYTES] += size * (end - begin)
+                cell[LinkSum.BYTES] += sum(sizes[begin:end])
 
     def _add_event(self, event: WireEvent) -> None:
         self.events[event.kind] += 1
@@ -553,11 +553,17 @@ class Account:
         return host
 
 
-def _count_stay(run: AnsweredRun, poll: PollStatistics, places: list[int]) -> None:
-    """Count the requests of a batch at these places with their poll."""
-    if poll.tally is GIVEN_UP:
-        poll.tally = RequestTally()
-    run.count(places[places[0] == BEFORE :], poll.tally)
+def _count(run: QuietRun, places: list[int], tally: RequestTally) -> None:
+    """Count requests of `run`."""
+    forms: dict[int, list[int]] = {}
+    for place in places:
+        forms.setdefault(run.form[place], []).append(place)
+    rows = run.rows
+    for form, some in forms.items():
+        request_bytes = sum(rows.request_bytes[place] for place in some)
+        response_bytes = sum(rows.response_bytes[place] for place in some)
+        tally.count_alike(run.forms[form].like, len(some), request_bytes, response_bytes)
+    tally.latency.add_all([rows.latencies_ns[place] for place in places])
 
 
 def _size(one: NamedTransaction) -> int:

@@ -4,13 +4,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.devices import NamedTransaction
+    from collections.abc import Sequence
 
 
 class ValueChanges(NamedTuple):
@@ -26,18 +23,6 @@ class ValueChanges(NamedTuple):
     values: list[int]
 
 
-class SlowRead(NamedTuple):
-    """An answered read that took long."""
-
-    place: int
-    """Its index among the reads that were given together."""
-    link: str
-    unit: int
-    latency_ns: int
-    transaction: Callable[[], NamedTransaction]
-    """Makes the transaction."""
-
-
 class ReadValues(Protocol):
     """The values of registers or bits that the reads or writes of one poll bring."""
 
@@ -51,25 +36,33 @@ class ReadValues(Protocol):
         """
         ...
 
-    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
-        """The changes of the value at index `place` of each read or write.
+    def changes(
+        self, before: Sequence[int] | None, place: int, *, every: bool = False
+    ) -> ValueChanges:
+        """The changes of the value at index `place` of each read or write; with `every`, all of
+        its values.
 
         `before` holds the values before the first one; None if they are unknown.
         """
         ...
 
 
-@dataclass(slots=True)
-class AnsweredReads:
-    """Reads or writes of one poll, of one or more masters: outcome OK, no verdicts, no retries.
+class AnsweredReads(NamedTuple):
+    """Reads or writes of one poll, of one or more masters: outcome OK, no verdicts, no retries."""
 
-    Each list has one element per read, in the order of the responses.
+    request_ns: list[int]
+    """The time of each, in the order of the responses."""
+    values: ReadValues
+
+
+class AnsweredValues(Protocol):
+    """The values of answered reads and of writes, by poll; the polls are sorted by their first
+    requests.
     """
 
-    link: str
-    unit: int
-    function: int
-    address: int
-    quantity: int
-    request_ns: list[int]
-    values: ReadValues
+    @property
+    def asked(self) -> list[tuple[str, int, int, int, int]]:
+        """Link, unit, function, address and quantity of each poll."""
+        ...
+
+    def __getitem__(self, index: int) -> AnsweredReads: ...

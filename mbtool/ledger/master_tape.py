@@ -7,16 +7,20 @@ from __future__ import annotations
 from collections import deque
 from enum import IntEnum
 from itertools import repeat
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from mbtool.ledger.poll_cycle import Asked, PollLists, find_lists
+from mbtool.ledger.poll_statistics import PollStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.unit_account import UseAccount
 
-    TapedRequest = tuple[int, PollStatistics, int, int, int]
+    TapedPoll = PollStatistics | UseAccount
+    """The poll of a request; its use, if the poll came and went with so few requests that it
+    belongs to no cycle."""
+    TapedRequest = tuple[int, TapedPoll, int, int, int]
     """A request: its time (UTC ns, of its last byte), its poll, the time of the response's last
     byte (without a response in time, of the request's), the time (ns) that the bytes of the request
     took on a serial line (0 on a network), and an item of Lacks. A plain tuple, as there are
@@ -42,7 +46,7 @@ class MasterTape:
     def __init__(self) -> None:
         # The fields of TapedRequest: columns of integers cost the garbage collector nothing.
         self._at_ns: deque[int] = deque(maxlen=MAX_ASKED)
-        self._polls: deque[PollStatistics] = deque(maxlen=MAX_ASKED)
+        self._polls: deque[TapedPoll] = deque(maxlen=MAX_ASKED)
         self._ends_ns: deque[int] = deque(maxlen=MAX_ASKED)
         self._wires_ns: deque[int] = deque(maxlen=MAX_ASKED)
         self._lacks: deque[int] = deque(maxlen=MAX_ASKED)
@@ -57,7 +61,7 @@ class MasterTape:
             self._lacks.append(one[4])
 
     def add_answered(
-        self, at_ns: Sequence[int], polls: Sequence[PollStatistics], ends_ns: Sequence[int]
+        self, at_ns: Sequence[int], polls: Sequence[TapedPoll], ends_ns: Sequence[int]
     ) -> None:
         """Add answered requests of a network: their times, polls, and times of the responses."""
         self._at_ns.extend(at_ns)
@@ -67,7 +71,7 @@ class MasterTape:
             column.extend(repeat(0, len(at_ns)))
 
     @property
-    def unanswered(self) -> PollStatistics | None:
+    def unanswered(self) -> TapedPoll | None:
         """The poll of the last request if it got no response, so that the next one may be its
         retry.
         """
@@ -85,9 +89,15 @@ class MasterTape:
 
     def lists(self) -> PollLists[PollStatistics]:
         """Return the lists that the master polls in cycles."""
+        # A use stands for polls of its function that belong to no list: each for another one.
+        polls = (
+            cast("PollStatistics", poll if isinstance(poll, PollStatistics) else object())
+            for poll in self._polls
+        )
+        columns = zip(self._at_ns, polls, self._ends_ns, self._wires_ns, self._lacks, strict=True)
         return find_lists(
             [
                 Asked(poll, at_ns - wire_ns, end_ns, lacks > 0, lacks == Lacks.CHECK)
-                for at_ns, poll, end_ns, wire_ns, lacks in zip(*self._columns, strict=True)
+                for at_ns, poll, end_ns, wire_ns, lacks in columns
             ]
         )

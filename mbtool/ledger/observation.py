@@ -37,17 +37,31 @@ class Observation:
     def note(self, unit: UnitAccount, one: NamedTransaction) -> None:
         """Take a transaction of the unit; of equal ones the first is enough."""
         _note_identity(unit, one)
+        observed = self._observed(unit, one)
+        if observed is not None:
+            before = len(observed.requests)
+            observed.note(one)
+            self._requests += len(observed.requests) - before
+
+    def note_usual(
+        self, unit: UnitAccount, like: NamedTransaction, address: int, quantity: int
+    ) -> None:
+        """Take an answered read or write of the unit: one like `like`, with these addresses."""
+        observed = self._observed(unit, like)
+        if observed is not None:
+            self._requests += observed.note_usual(like, address, quantity)
+
+    def _observed(self, unit: UnitAccount, one: NamedTransaction) -> ObservedSlave | None:
+        """Return what takes a transaction of the unit; None if it is not noted."""
         if unit.observed is None:
             if one.outcome in UNANSWERED:
-                return  # Only a unit that has answered is compared with profiles.
+                return None  # Only a unit that has answered is compared with profiles.
             link = "" if one.destination is not None else one.link
             unit.observed = ObservedSlave(link, one.destination, one.unit)
         if self._requests >= MAX_REQUESTS:
             self.left_out += 1
-            return
-        before = len(unit.observed.requests)
-        unit.observed.note(one)
-        self._requests += len(unit.observed.requests) - before
+            return None
+        return unit.observed
 
 
 def _note_identity(unit: UnitAccount, one: NamedTransaction) -> None:

@@ -124,6 +124,11 @@ class PollStatistics:
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
 
+    @property
+    def tape_key(self) -> tuple[str, str]:
+        """The key of the master's tape (RequestOrder)."""
+        return self.use.tape_key
+
     def give_up(self) -> None:
         """Add the counts to those of the function, and forget them: the tape of the master holds
         the poll longer, but needs only its key and its periods.

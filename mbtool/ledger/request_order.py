@@ -16,12 +16,12 @@ from operator import itemgetter, sub
 from typing import TYPE_CHECKING
 
 from mbtool.ledger.master_tape import MAX_ASKED, Lacks, MasterTape
+from mbtool.ledger.poll_statistics import PollStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence, Set
 
-    from mbtool.ledger.master_tape import TapedRequest
-    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.master_tape import TapedPoll, TapedRequest
 
 MAX_TAPES = 256
 """The last requests of at most this many masters are kept."""
@@ -72,9 +72,7 @@ class RequestOrder:
         if len(self._waiting) >= 2 * WINDOW:
             self._pass_on(WINDOW)
 
-    def add_answered(
-        self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
-    ) -> None:
+    def add_answered(self, at_ns: list[int], polls: list[TapedPoll], ends_ns: list[int]) -> None:
         """Add answered requests of a network: their times, polls, and the times of their responses
         (UTC ns). The result is the same as if `add` was called for each.
         """
@@ -87,24 +85,22 @@ class RequestOrder:
         ends = [one[2] for one in held] + ends_ns
         number = (len(at) // WINDOW - 1) * WINDOW
         order = sorted(range(len(at)), key=at.__getitem__)
-        keys = {poll.use.tape_key for poll in {*of_poll}}
+        keys = {poll.tape_key for poll in {*of_poll}}
         if number <= 0 or not self._is_simple(keys, order, at[order[0]]):
             for one in zip(at_ns, polls, ends_ns, repeat(0), repeat(Lacks.NOTHING)):
                 self.add(one)
             return
 
-        times: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(of_poll)}
-        places: dict[tuple[str, str], list[int]] = {key: [] for key in keys}
-        notes = {
-            poll: (some.append, places[poll.use.tape_key].append) for poll, some in times.items()
-        }
+        of_polls: dict[TapedPoll, list[int]] = {poll: [] for poll in {*of_poll}}
         for place in order[:number]:
-            note_time, note_place = notes[of_poll[place]]
-            note_time(at[place])
-            note_place(place)
-        for poll, some in times.items():
-            if some:
-                poll.begin_all(some)
+            of_polls[of_poll[place]].append(place)
+        places: dict[tuple[str, str], list[int]] = {key: [] for key in keys}
+        for poll, some in of_polls.items():
+            places[poll.tape_key] += some
+            if isinstance(poll, PollStatistics) and some:
+                poll.begin_all([at[place] for place in some])
+        for some in places.values():
+            some.sort(key=at.__getitem__)
         used = [(at[some[-1]], some[-1], key) for key, some in places.items() if some]
         for _, _, key in sorted(used):
             last = places[key][-MAX_ASKED:]
@@ -140,7 +136,7 @@ class RequestOrder:
         self.late += late
         by_tape: dict[tuple[str, str], list[TapedRequest]] = {}
         for one in self._waiting[late:number]:
-            by_tape.setdefault(one[1].use.tape_key, []).append(one)
+            by_tape.setdefault(one[1].tape_key, []).append(one)
         if by_tape:
             self._ordered_ns = self._waiting[number - 1][0]
         del self._waiting[:number]
@@ -155,13 +151,15 @@ class RequestOrder:
             else:
                 _begin_all(asked)
 
-    def _begin_each(self, unanswered: PollStatistics | None, asked: Sequence[TapedRequest]) -> None:
+    def _begin_each(self, unanswered: TapedPoll | None, asked: Sequence[TapedRequest]) -> None:
         """Note the requests of a master with their polls. A request may be a retry if it repeats
         the one before it, which got no response; `unanswered` is the poll of the one before the
         first.
         """
         for at_ns, poll, _, _, lacks in asked:
-            if poll is not unanswered:
+            if not isinstance(poll, PollStatistics):
+                pass  # Periods and retries need a poll that is kept.
+            elif poll is not unanswered:
                 poll.begin(at_ns)
             else:
                 change = poll.note_repetition(at_ns)
@@ -191,7 +189,8 @@ def _last_of_tape(item: tuple[tuple[str, str], Sequence[TapedRequest]]) -> int:
 def _begin_all(asked: Sequence[TapedRequest]) -> None:
     """Note answered requests of a master with their polls."""
     by_poll: dict[PollStatistics, list[int]] = {}
-    for one in asked:
-        by_poll.setdefault(one[1], []).append(one[0])
+    for at_ns, poll, *_ in asked:
+        if isinstance(poll, PollStatistics):
+            by_poll.setdefault(poll, []).append(at_ns)
     for poll, times_ns in by_poll.items():
         poll.begin_all(times_ns)

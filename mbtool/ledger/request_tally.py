@@ -75,13 +75,16 @@ class RequestTally:
         self.response_bytes = 0
 
     def add(self, transaction: NamedTransaction) -> None:
-        self.count_alike(transaction, 1)
+        request, response = transaction.request_raw or b"", transaction.response_raw or b""
+        self.count_alike(transaction, 1, len(request), len(response))
         if transaction.latency_ns is not None:
             self.latency.add(transaction.latency_ns)
 
-    def count_alike(self, transaction: NamedTransaction, number: int) -> None:
-        """Count `transaction` as `number` equal transactions. Latencies are not counted; the caller
-        adds them.
+    def count_alike(
+        self, transaction: NamedTransaction, number: int, request_bytes: int, response_bytes: int
+    ) -> None:
+        """Count `number` transactions like `transaction`, whose requests and responses have so many
+        bytes together. The caller adds the latencies.
         """
         outcome = transaction.outcome
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + number
@@ -98,10 +101,8 @@ class RequestTally:
                 self.ambiguously_unanswered += number
         if transaction.retries > 0:
             self.retries += number
-        if transaction.request_raw is not None:
-            self.request_bytes += number * len(transaction.request_raw)
-        if transaction.response_raw is not None:
-            self.response_bytes += number * len(transaction.response_raw)
+        self.request_bytes += request_bytes
+        self.response_bytes += response_bytes
 
     def _count_exception(self, code: int, name: str, number: int) -> None:
         if self.exceptions is _NONE:  # Most tallies have none.

@@ -165,6 +165,7 @@ class Row:
         """Yield the sums for many times (UTC ns, sorted), each with the indices of the first time
         that belongs to it, and of the first time that does not.
         """
+        self.fit(times_ns)
         begin = 0
         while begin < len(times_ns):
             found = self.cell(times_ns[begin])
@@ -210,9 +211,9 @@ class Row:
         """Return the sum of some sums over all bins."""
         return sum(cell[place] for cell in self.cells.values() for place in places)
 
-    def fit(self) -> None:
-        """Make the bins wider while there are too many."""
-        while len(self.cells) > self._most and self._step + 1 < len(_WIDTHS_NS):
+    def fit(self, times_ns: Sequence[int] = ()) -> None:
+        """Make the bins wider while there are too many, with those that `times_ns` needs."""
+        while self._step + 1 < len(_WIDTHS_NS) and self._number_with(times_ns) > self._most:
             before = len(self.cells)
             self._step += 1
             ratio = _WIDTHS_NS[self._step] // self.width_ns
@@ -223,6 +224,12 @@ class Row:
                 wider[number // ratio] = cell if other is None else _added(other, cell)
             self.cells = wider
             self._every.cells -= before - len(wider)
+
+    def _number_with(self, times_ns: Sequence[int]) -> int:
+        """Return the number of bins, with those that `times_ns` needs."""
+        if len(self.cells) + len(times_ns) <= self._most:
+            return len(self.cells)
+        return len(self.cells.keys() | {at_ns // self.width_ns for at_ns in times_ns})
 
     @property
     def _most(self) -> int:

@@ -8,25 +8,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from heapq import heappush, heapreplace, nlargest
+from heapq import heappush, heapreplace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import CONNECTION_OPENED, EventKind
+from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.core.moments import duration, host_of
 from mbtool.ledger.account import MAX_POLLS
-from mbtool.ledger.poll_statistics import PollKey, poll_key
+from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.modbus import Outcome
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mbtool.core import WireEvent
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
-    from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
 """Cases are kept for at most this many units; further ones are ignored."""
@@ -81,22 +78,13 @@ class Cases(Sense):
             if cases is not None:
                 cases.append(Evidence.of(one))
 
-    def _note_failed(self, run: AnsweredRun) -> None:
+    def _note_failed(self, run: QuietRun) -> None:
         """Note the first failed requests of each unit in a batch, in the order of the responses."""
-        if not any(kind.like.outcome in _FAILED for kind in run.kinds):
-            return
-        indices = [0] * len(run.kinds)
-        for number in run.kind:
-            kind = run.kinds[number]
-            if kind.like.outcome in _FAILED:
-                cases = self._cases_of(kind.like)
-                if cases is not None:
-                    index = indices[number]
-                    cases.append(Evidence(
-                        ts_ns=kind.request_ns[index], file=kind.like.file,
-                        packets=kind.packets(index),
-                    ))  # fmt: skip
-                indices[number] += 1
+        failed = [form for form in run.forms if form.like.outcome in _FAILED]
+        for place in sorted(each for form in failed for each in form.places[:MAX_EVIDENCE]):
+            cases = self._cases_of(run.forms[run.form[place]].like)
+            if cases is not None:
+                cases.append(_evidence(run, place))
 
     def _cases_of(self, one: NamedTransaction) -> list[Evidence] | None:
         """Return the cases like this transaction; None if there is no room for one more."""
@@ -108,25 +96,15 @@ class Cases(Sense):
             cases = self._failed[key] = []
         return cases if len(cases) < MAX_EVIDENCE else None
 
-    def run(self, run: AnsweredRun) -> None:
+    def run(self, run: QuietRun) -> None:
         self._note_failed(run)
-        for counts in run.connections:
+        for counts in run.opened_and_closed:
             if counts.first_opened_ns is not None:
                 self._note_opened((counts.link, counts.host), counts.first_opened_ns)
-        if run.longest_ns < SLOW_NS:
-            return
-        for kind in run.kinds:
-            latencies, like = kind.latencies, kind.like
-            if max(latencies) < SLOW_NS:
-                continue
-            heap = self._heap(like)
-            for at in nlargest(SLOWEST, range(len(latencies)), key=latencies.__getitem__):
-                latency_ns, at_ns = latencies[at], kind.request_ns[at]
-                if latency_ns < SLOW_NS or not _has_place(heap, latency_ns, at_ns):
-                    break
-                text, packets = _took(latency_ns), kind.packets(at)
-                evidence = Evidence(ts_ns=at_ns, text=text, file=like.file, packets=packets)
-                self._keep_slow(heap, latency_ns, evidence)
+        for place, latency_ns in run.slow(SLOW_NS, SLOWEST):
+            heap = self._heap(run.like(place))
+            if _has_place(heap, latency_ns, run.rows.request_ns[place]):
+                self._keep_slow(heap, latency_ns, _evidence(run, place, _took(latency_ns)))
 
     def event(self, event: WireEvent) -> None:
         if event.kind is EventKind.OPENED and event.message == CONNECTION_OPENED:
@@ -199,6 +177,12 @@ class Cases(Sense):
                     if link == one.link and (one.master == host or one.master == "masters")
                 )
             yield one if found is one.evidence else replace(one, evidence=_earliest_cases(found))
+
+
+def _evidence(run: QuietRun, place: int, text: str = "") -> Evidence:
+    """Return a transaction of a run as evidence."""
+    file, at_ns = run.forms[run.form[place]].like.file, run.rows.request_ns[place]
+    return Evidence(ts_ns=at_ns, text=text, file=file, packets=run.packets(place))
 
 
 def _earliest_cases(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:

@@ -33,6 +33,7 @@ answers.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from statistics import median, median_low
@@ -47,9 +48,7 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.ledger.statistics_report import LinkReport
 
 SLOW_NS = 300_000_000
@@ -205,30 +204,19 @@ class Gateways(Sense):
             )
         self._note_overlap(one)
 
-    def run(self, run: AnsweredRun) -> None:
-        for form in run.forms():
+    def run(self, run: QuietRun) -> None:
+        for form in run.forms:
             self._shared_by(form.like)
-        if run.longest_ns < min(WAIT_NS, SLOW_NS):
-            return
-        for kind in run.kinds:
-            like, longest_ns = kind.like, max(kind.latencies)
-            if longest_ns < min(WAIT_NS, SLOW_NS):
-                continue
+        for place, latency_ns in run.slow(min(WAIT_NS, SLOW_NS)):
+            like, at_ns = run.forms[run.form[place]].like, run.rows.request_ns[place]
             shared = self._shared_by(like)
-            if shared is not None and longest_ns >= WAIT_NS:
-                master = host_of(like.source)
-                shared.waiting += (
-                    _SlowRequest(at_ns, at_ns + latency_ns, master, like.unit, like.address)
-                    for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True)
-                    if latency_ns >= WAIT_NS
-                )
-            if longest_ns < SLOW_NS:
-                continue
-            each = zip(kind.request_ns, kind.latencies, strict=True)
-            for index, (at_ns, latency_ns) in enumerate(each):
-                if latency_ns >= SLOW_NS:
-                    evidence = Evidence(ts_ns=at_ns, file=like.file, packets=kind.packets(index))
-                    self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
+            if shared is not None and latency_ns >= WAIT_NS:
+                master, address = host_of(like.source), run.like(place).address
+                end_ns = at_ns + latency_ns
+                shared.waiting.append(_SlowRequest(at_ns, end_ns, master, like.unit, address))
+            if latency_ns >= SLOW_NS:
+                evidence = Evidence(ts_ns=at_ns, file=like.file, packets=run.packets(place))
+                self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
 
     def _shared_by(self, one: NamedTransaction) -> _SharedLink | None:
         """Return the requests of the link of a transaction if it has several masters."""

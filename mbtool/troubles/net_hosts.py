@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -28,10 +29,8 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
 
 MAX_HOSTS = 4096
@@ -85,10 +84,12 @@ class Hosts(Sense):
         if not one.transport.is_serial:
             self._note(one, 1, one.start_ns, one.start_ns)
 
-    def run(self, run: AnsweredRun) -> None:
-        for kind in run.forms():
-            first = Evidence(ts_ns=kind.request_ns[0], file=kind.like.file, packets=kind.packets(0))
-            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns, first)
+    def run(self, run: QuietRun) -> None:
+        for form in run.forms:
+            place = form.places[0]
+            at_ns, packets = run.rows.request_ns[place], run.packets(place)
+            first = Evidence(ts_ns=at_ns, file=form.like.file, packets=packets)
+            self._note(form.like, len(form.places), form.begin_ns, form.end_ns, first)
 
     def _note(
         self,

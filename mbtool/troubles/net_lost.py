@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,10 +29,8 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
@@ -110,8 +109,8 @@ class LossyPaths(Sense):
         if path is not None and path.pending:
             path.confirm(one.start_ns, one.response_ns)
 
-    def run(self, run: AnsweredRun) -> None:
-        for kind in run.forms() if self._paths else ():
+    def run(self, run: QuietRun) -> None:
+        for kind in run.forms if self._paths else ():
             path = self._paths.get((kind.like.link, host_of(kind.like.source)))
             if path is not None and path.pending:
                 path.confirm(kind.end_ns, kind.end_ns)
@@ -196,8 +195,8 @@ class LostConnections(Sense):
         elif is_refused or (event.kind is EventKind.CLOSED and event.message.startswith(_ENDS)):
             self._note_lost(event)
 
-    def run(self, run: AnsweredRun) -> None:
-        for one in run.connections:
+    def run(self, run: QuietRun) -> None:
+        for one in run.opened_and_closed:
             if one.first_opened_ns is not None:
                 self._note_opened(one.link, one.host, one.first_opened_ns)
 

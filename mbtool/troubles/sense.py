@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.trouble import Trouble
 
@@ -43,7 +42,7 @@ class Sense:
     def event(self, event: WireEvent) -> None:
         """Take the next event."""
 
-    def run(self, run: AnsweredRun) -> None:
+    def run(self, run: QuietRun) -> None:
         """Take many answered requests of a network together. By default, nothing is to be seen in
         them.
         """

@@ -34,6 +34,7 @@ Registers that a master writes, and ambiguous frames, are left out.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,11 +46,10 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.devices.assignment import Assignments
-    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.devices.checking.quiet_run import QuietRun
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.modbus.tables import Table
     from mbtool.values.followed_values import FollowedValue
@@ -281,22 +281,32 @@ class ValueFaults(Sense):
             poll.words.extend(values)
             self._take(key, poll)
 
-    def reads(self, reads: Sequence[AnsweredReads]) -> None:
+    def run(self, run: QuietRun) -> None:
+        rows = run.rows
+        for place in [place for place, code in enumerate(rows.exceptions) if code >= 0]:
+            asked, (link, _, _) = rows.asked[place], rows.ends[place]
+            function, address = FUNCTIONS[asked >> 32 & 0xFF], asked >> 16 & 0xFFFF
+            table = function.table if function.writes else None
+            if table is not None and not table.is_bits:
+                span = range(address, address + (asked & 0xFFFF))
+                self._note_write(link, asked >> 40, table, span)
+
+    def reads(self, reads: AnsweredValues) -> None:
         """Take many answered reads and writes of slaves without profiles together."""
-        for one in reads:
-            function = FUNCTIONS[one.function]
+        for index, asked in enumerate(reads.asked):
+            link, unit, code, address, quantity = asked
+            function = FUNCTIONS[code]
             if function.table is None or function.table.is_bits:
                 continue
             if function.writes:
-                span = range(one.address, one.address + one.quantity)
-                self._note_write(one.link, one.unit, function.table, span)
+                self._note_write(link, unit, function.table, range(address, address + quantity))
                 continue
-            key = _Key(one.link, one.unit, one.function, one.address, one.quantity)
+            key = _Key._make(asked)  # Faster than calling _Key.
             poll = self._polls.get(key)
-            if poll is None:
-                if len(self._polls) >= MAX_POLLS:
-                    continue
-                poll = self._new_poll(key, one.request_ns[0])
+            if poll is None and len(self._polls) >= MAX_POLLS:
+                continue
+            one = reads[index]
+            poll = poll or self._new_poll(key, one.request_ns[0])
             if not poll.is_left_out:
                 poll.times.extend(one.request_ns)
                 poll.words.frombytes(one.values.words())

@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -22,10 +23,8 @@ from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices import NamedTransaction
-    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.modbus.tables import Table
 
 MAX_SERIES = 256
@@ -79,6 +78,11 @@ class Values:
         self._most = most
         self.series: dict[SeriesKey, ValueSeries] = {}
         self._left_out: set[SeriesKey] = set()
+        """The points that have no series."""
+        self._registers: dict[tuple[str, int, Table], dict[int, ValueSeries | None]] = {}
+        """By link, unit and table: the series of each register or bit; None for one that has none,
+        as there are too many others."""
+        self._registers_left_out = 0
         self._polls: dict[tuple[object, ...], _FollowedPoll] = {}
         self._first_polls: dict[ValueSeries, _FollowedPoll] = {}
         """The poll that was the first to follow a series."""
@@ -88,7 +92,9 @@ class Values:
         """Number of points and registers whose values are not collected, because of `most` or of
         MAX_OF_POLL; MAX_LEFT_OUT stands for this number and more.
         """
-        return len(self._left_out - self.series.keys())
+        registers = (one for some in self._registers.values() for one in some.values())
+        number = len(self._left_out - self.series.keys()) + sum(one is None for one in registers)
+        return min(number, MAX_LEFT_OUT)
 
     @property
     def requests(self) -> list[RequestedSpan]:
@@ -121,39 +127,35 @@ class Values:
         if one.points:
             self._add_points(one, poll, at_ns)
         elif one.address is not None:
-            self._follow(poll, one, function.table, len(values))
+            span = range(one.address, one.address + len(values))
+            self._follow(poll, RequestedSpan(one.link, one.unit, function.table, span))
             _add_changes(poll.series, values, () if poll.is_shared else before or (), at_ns)
 
-    def add_reads(self, reads: Sequence[AnsweredReads]) -> bool:
-        """Take many reads of slaves without profiles, with the same result as `add` for each.
-
-        Returns False, and takes no values, if there may be no room for their polls, or if polls
-        share registers.
-        """
-        if len(self._polls) + len(reads) > MAX_POLLS:
-            return False
+    def add_reads(self, reads: AnsweredValues) -> None:
+        """Take many reads of slaves without profiles, with the same result as `add` for each."""
         polls = []
-        for one in reads:
-            table = FUNCTIONS[one.function].table
+        for index, asked in enumerate(reads.asked):
+            link, unit, function, address, quantity = asked
+            table = FUNCTIONS[function].table
             if table is not None:
-                key = (one.link, one.unit, one.function, one.address, one.quantity, None)
-                poll = self._poll(key)
-                self._follow(poll, one, table, one.quantity)
-                polls.append((poll, one))
-        if any(poll.is_shared for poll, _ in polls):
-            return False
+                poll = self._poll((*asked, None))
+                span = range(address, address + quantity)
+                self._follow(poll, RequestedSpan(link, unit, table, span))
+                if any(poll.series):
+                    polls.append((poll, index, quantity))
         found: dict[ValueSeries, list[ValueChanges]] = {}
-        for poll, one in polls:
+        for poll, index, quantity in polls:
+            one = reads[index]
             before, poll.values = poll.values, one.values.last()
-            if before is not None and len(before) != one.quantity:
+            if before is not None and len(before) != quantity:
                 before = None
             for place, series in enumerate(poll.series):
                 if series is not None:
-                    found.setdefault(series, []).append(one.values.changes(before, place))
-        for series, changes in found.items():
-            _, times_ns, values = changes[0] if len(changes) == 1 else _joined(changes)
+                    changes = one.values.changes(before, place, every=poll.is_shared)
+                    found.setdefault(series, []).append(changes)
+        for series, several in found.items():
+            _, times_ns, values = several[0] if len(several) == 1 else _joined(several)
             series.add_all(times_ns, values)
-        return True
 
     def _poll(self, key: tuple[object, ...]) -> _FollowedPoll:
         poll = self._polls.get(key)
@@ -163,12 +165,10 @@ class Values:
                 self._polls[key] = poll
         return poll
 
-    def _follow(
-        self, poll: _FollowedPoll, one: NamedTransaction | AnsweredReads, table: Table, count: int
-    ) -> None:
+    def _follow(self, poll: _FollowedPoll, asked: RequestedSpan) -> None:
         """Make sure that the registers or bits of a poll have their series of values."""
-        if len(poll.series) != min(count, MAX_OF_POLL):
-            poll.series = self._registers(one, table, count)
+        if len(poll.series) != min(len(asked.span), MAX_OF_POLL):
+            poll.series = self._series_of(asked)
             self._note_sharing(poll)
 
     def _note_sharing(self, poll: _FollowedPoll) -> None:
@@ -190,29 +190,26 @@ class Values:
                 series.reference, series.unit = point.reference, point.unit or ""
                 series.add(at_ns, point.value, point.text)
 
-    def _registers(
-        self, one: NamedTransaction | AnsweredReads, table: Table, count: int
-    ) -> list[ValueSeries | None]:
+    def _series_of(self, asked: RequestedSpan) -> list[ValueSeries | None]:
         """Return the series of values for the registers or bits of a poll, in address order.
 
-        `count` is the number of the poll's registers; series are made for at most MAX_OF_POLL. None
-        stands for a register that is not collected, as there are too many others.
+        Series are made for at most MAX_OF_POLL. None stands for a register that is not collected,
+        as there are too many others.
         """
-        first = one.address or 0
-        addresses = range(first, first + min(count, MAX_OF_POLL))
-        names = (write_reference(None, table, address) for address in addresses)
-        keys = (SeriesKey(one.link, one.unit, name) for name in names)
-        self._leave_out(one, table, range(addresses.stop, first + count))
-        return [self._series(key, is_bit=table.is_bits) for key in keys]
-
-    def _leave_out(
-        self, one: NamedTransaction | AnsweredReads, table: Table, addresses: Iterable[int]
-    ) -> None:
-        for address in addresses:
-            if len(self._left_out) >= MAX_LEFT_OUT:
-                return
-            name = write_reference(None, table, address)
-            self._left_out.add(SeriesKey(one.link, one.unit, name))
+        link, unit, table, span = asked
+        known = self._registers.setdefault((link, unit, table), {})
+        for address in span[:MAX_OF_POLL]:
+            if len(self.series) >= self._most:
+                break
+            if known.get(address) is None:
+                name = write_reference(None, table, address)
+                known[address] = self._series(SeriesKey(link, unit, name), is_bit=table.is_bits)
+        if self._registers_left_out < MAX_LEFT_OUT:
+            before = len(known)
+            for address in span:
+                known.setdefault(address, None)
+            self._registers_left_out += len(known) - before
+        return [*map(known.get, span[:MAX_OF_POLL])]
 
     def _series(self, key: SeriesKey, *, is_bit: bool = False) -> ValueSeries | None:
         series = self.series.get(key)

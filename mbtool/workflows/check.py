@@ -11,12 +11,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import EventKind, InputError, UsageError, WireEvent
+from mbtool.core import EventKind, InputError, SerialFormat, UsageError, WireEvent
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.devices import NamedTransaction, Namer, builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, Namer, Profile, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES, Severity
@@ -27,29 +28,21 @@ from mbtool.ledger.request_tally import merged
 from mbtool.logs.rotation import with_parts
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.columns.quiet_rows import BlockRows
-    from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
-    from mbtool.devices import Profile
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
-    from mbtool.troubles.judge import Judgement
-    from mbtool.workflows.shared.read_all import Watch
-    from mbtool.workflows.shared.reading import ReadingOptions
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
@@ -135,8 +128,6 @@ class CheckedRecord(NamedTuple):
     findings: list[FileFinding]
     rows: BlockRows | None = None
     """Many answered reads that were checked together, instead of a record; otherwise None."""
-    answered: AnsweredRun | None = None
-    """The same reads grouped by poll; None if there is no `rows`."""
     poll: PollStatistics | None = None
     """The poll that the transaction belongs to, in the account; None if it has none."""
     damaged_ns: int | None = None
@@ -165,16 +156,13 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
-        exceptions_apart: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account. With `exceptions_apart`, each
-        transaction whose response is an exception is a CheckedRecord of its own.
+        all. `on_retry` and `observes` are those of Account.
         """
-        self._exceptions_apart = exceptions_apart
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
@@ -297,9 +285,7 @@ class CheckRun:
 
     def _parts(self) -> Iterator[Record | BlockRows]:
         columns = self._columns if self._window.is_whole else None
-        if columns is None:
-            return self.reading.records()
-        return columns.quiet_parts(exceptions=not self._exceptions_apart)
+        return self.reading.records() if columns is None else columns.quiet_parts()
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:
@@ -363,9 +349,8 @@ class CheckRun:
             if isinstance(some, NamedTransaction | WireEvent):
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
-                answered = some.answered()
-                self._judge.count_run(answered, some.reads())
-                yield CheckedRecord(None, None, findings, some, answered)
+                self._judge.count_run(some.run, some.reads)
+                yield CheckedRecord(None, None, findings, some)
 
     def _check(self, record: Record) -> CheckedRecord:
         if self._lines is None:

@@ -6,11 +6,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
-from mbtool.devices import builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
 from mbtool.ledger.advice import advice_of
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import inventory
@@ -20,7 +21,7 @@ from mbtool.ports.clock import now_ns
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.troubles.broken_rules import Summaries
-from mbtool.troubles.polling import LATE_NS, late_units
+from mbtool.troubles.polling import late_units
 from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import Values
 from mbtool.version import __version__
@@ -32,25 +33,18 @@ from mbtool.views.report.contents import (
     encoded,
     report_document,
 )
-from mbtool.views.report.late_answers import OF_UNIT
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.views.statistics_summary import TOGETHER_TEXT
-from mbtool.workflows.check import CheckRun
+from mbtool.workflows.check import CheckedRecord, CheckRun, CodeFilter
 from mbtool.workflows.diff import DiffOptions, compare
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.columns.quiet_rows import BlockRows
-    from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
-    from mbtool.workflows.check import CheckedRecord, CodeFilter
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 
@@ -94,7 +88,6 @@ class ReportRun:
             wanted=wanted,
             on_retry=self._mark_retry,
             observes=True,
-            exceptions_apart=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
@@ -168,26 +161,17 @@ class ReportRun:
                 self._rows.add(named, _codes_of(named, findings), one.damaged_ns)
             if one.poll is not None and not isinstance(named, WireEvent):
                 self._rows.pauses.note(one.poll.key, self._rows.transactions, named)
-        if one.rows is not None and one.answered is not None:
+        if one.rows is not None:
             self._note_capture()
-            self._add_rows(one.rows, one.answered)
+            self._add_rows(one.rows)
         for finding in findings:
             self._rows.add_finding(finding)
 
-    def _add_rows(self, rows: BlockRows, answered: AnsweredRun) -> None:
-        """Take answered reads without findings together; only the first ones of the capture need a
-        row of the table.
-        """
-        reads = rows.reads()
-        if not self._values.add_reads(reads):
-            for named in rows.transactions(len(rows)):
-                self._values.add(named)
-        self._rows.pauses.note_run(answered, self._rows.transactions, rows.chosen)
-        wanted = self._rows.first_of(len(rows))
-        for named in rows.transactions(wanted):
-            self._rows.add(named, ())
-        others = rows.behind(wanted)
-        self._rows.pass_over(len(others), others.slow(LATE_NS, OF_UNIT))
+    def _add_rows(self, rows: BlockRows) -> None:
+        """Take answered reads and writes without findings together."""
+        self._values.add_reads(rows.reads)
+        self._rows.pauses.note_run(rows.run, self._rows.transactions, rows.chosen)
+        self._rows.add_run(rows.run, rows.chosen)
 
     def _note_capture(self) -> None:
         if self.reading.captures != self._captures:

@@ -55,31 +55,23 @@ NETWORK = [name for name, one in INPUTS.items() if one.basis == "ordinary"]
 
 
 @pytest.mark.parametrize("name", NETWORK)
-def test_calls_grow_no_faster_than_the_input(name: str) -> None:
+def test_calls_grow_no_faster_than_the_input_and_are_at_most_ten_times_the_ordinary_ones(
+    name: str,
+) -> None:
     few, few_bytes = counted(name, 4 * USUAL)
     many, many_bytes = counted(name, 8 * USUAL)
     assert many / few <= 1.2 * many_bytes / few_bytes
+    ordinary, ordinary_size = counted("ordinary", 4 * USUAL)
+    assert few / few_bytes <= DEAR_PACKETS.get(name, MOST_TIMES) * ordinary / ordinary_size
 
 
 @pytest.mark.parametrize("name", SERIAL)
-def test_calls_for_a_line_grow_no_faster_than_the_input(name: str) -> None:
+def test_calls_for_a_line_grow_no_faster_than_the_input_and_have_a_bound(name: str) -> None:
+    """A search on a line in long doubt keeps one explanation, so that its price has a bound."""
     few, few_bytes = counted(name, SERIAL[name])
     many, many_bytes = counted(name, 2 * SERIAL[name])
     assert many / few <= 1.2 * many_bytes / few_bytes
-
-
-@pytest.mark.parametrize("name", SERIAL)
-def test_a_byte_of_a_line_takes_a_bounded_number_of_calls(name: str) -> None:
-    """Most calls are made for a frame, so an ordinary line of frames as short is the measure."""
-    count, size = counted(name, 2 * SERIAL[name])
     ordinary, ordinary_size = counted(SHORT_LINE, 1000)
-    assert count / size <= MOST_TIMES * ordinary / ordinary_size
+    assert many / many_bytes <= MOST_TIMES * ordinary / ordinary_size
     ordinary, ordinary_size = counted(LINE, 1000)
-    assert count / size <= DEAR.get(name, MOST_TIMES) * ordinary / ordinary_size
-
-
-@pytest.mark.parametrize("name", NETWORK)
-def test_a_byte_takes_at_most_ten_times_the_calls_of_an_ordinary_one(name: str) -> None:
-    count, size = counted(name, 4 * USUAL)
-    ordinary, ordinary_size = counted("ordinary", 4 * USUAL)
-    assert count / size <= DEAR_PACKETS.get(name, MOST_TIMES) * ordinary / ordinary_size
+    assert many / many_bytes <= DEAR.get(name, MOST_TIMES) * ordinary / ordinary_size

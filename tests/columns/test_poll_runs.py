@@ -12,13 +12,14 @@ import pytest
 from mbtool.columns import packet_block, poll_runs, quiet_rows
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.poll_runs import BlockRun
 from mbtool.columns.quiet_rows import BlockRows, QuietParts
 from mbtool.core import Direction, InputError
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import NamedTransaction, Namer
+from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.ledger import account, distribution, observation, poll_statistics, request_order
 from mbtool.ledger.account import Account
-from mbtool.ledger.answered_run import AnsweredRun
 from mbtool.ledger.inventory import inventory
 from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.modbus import encode_pdu, exception_pdu
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.decode.decoder import Record
+    from mbtool.devices.checking.quiet_run import PollName
 
 
 def packet_by_packet(capture: bytes) -> Iterator[Record]:
@@ -46,9 +48,9 @@ def packet_by_packet(capture: bytes) -> Iterator[Record]:
     yield from decoder.close()
 
 
-def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
+def in_runs(capture: bytes) -> Iterator[Record | BlockRun]:
     for part in quiet_parts(capture):
-        yield part.answered() if isinstance(part, BlockRows) else part
+        yield part.run if isinstance(part, BlockRows) else part
 
 
 def quiet_parts(capture: bytes) -> Iterator[Record | BlockRows]:
@@ -67,12 +69,12 @@ UNIT = [name for name in UnitAccount.__slots__ if name not in ("bins", "observed
 
 
 def overview(
-    parts: Iterator[Record | AnsweredRun],
+    parts: Iterator[Record | BlockRun],
 ) -> tuple[str, str, dict[UnitKey, list[object]], int]:
     """Both documents, the times of each unit, and how many requests came in runs."""
     counted, in_runs_ = Account(observes=True), 0
     for part in parts:
-        if isinstance(part, AnsweredRun):
+        if isinstance(part, BlockRun):
             counted.add_run(part)
             in_runs_ += len(part)
         else:
@@ -148,7 +150,7 @@ def test_polls_that_end_in_different_ways_give_equal_documents(
         (account, "MAX_POLLS"), (account, "MAX_LINKS"), (account, "MAX_UNITS"),
         (account, "MAX_USES"), (account, "MAX_MASTERS"), (request_order, "MAX_TAPES"),
         (observation, "MAX_REQUESTS"),
-        (poll_statistics, "_PERIOD_BUCKETS"), (poll_runs, "MAX_KINDS"),
+        (poll_statistics, "_PERIOD_BUCKETS"), (poll_runs, "MAX_FORMS"),
     ],
     ids=str,
 )  # fmt: skip
@@ -194,21 +196,71 @@ def test_durations_added_together_are_counted_as_one_by_one() -> None:
         ]
 
 
-def test_a_group_of_requests_knows_the_packets_of_each() -> None:
+def test_a_run_knows_the_packets_and_sizes_of_each_request() -> None:
     capture = several_polls()
-    packets = {
-        (one.link, one.request_ns): (one.request_packet, one.response_packet)
+    expected = {
+        (one.link, one.request_ns): one
         for one in packet_by_packet(capture)
         if isinstance(one, NamedTransaction)
     }
+    found = 0
     with patch.object(quiet_rows, "FEWEST", 3):
-        groups = [
-            kind
-            for part in in_runs(capture)
-            if isinstance(part, AnsweredRun)
-            for kind in part.kinds
-        ]
-    assert sum(kind.count for kind in groups) > 20
-    for kind in groups:
-        for index, at_ns in enumerate(kind.request_ns):
-            assert kind.packets(index) == packets[kind.like.link, at_ns]
+        runs = [part for part in in_runs(capture) if isinstance(part, BlockRun)]
+    for run in runs:
+        sizes = zip(run.rows.request_bytes, run.rows.response_bytes, strict=True)
+        for place, (asking, answering) in enumerate(sizes):
+            like = run.like(place)
+            one = expected[like.link, like.request_ns]
+            assert run.packets(place) == (one.request_packet, one.response_packet)
+            assert asking == len(one.request_raw or b"")
+            assert answering == len(one.response_raw or b"")
+            fields = ("address", "quantity", "reference", "exception", "transaction_id", "source")
+            assert [getattr(like, name) for name in fields] == [
+                getattr(one, name) for name in fields
+            ]
+            found += 1
+    assert found > 20
+
+
+def test_the_values_of_a_poll_leave_out_its_refused_requests() -> None:
+    refused = count = 0
+    with patch.object(quiet_rows, "FEWEST", 3):
+        parts = [one for one in quiet_parts(several_polls()) if isinstance(one, BlockRows)]
+    for part in parts:
+        refused += sum(code >= 0 for code in part.run.rows.exceptions)
+        for index, (_, _, function, _, quantity) in enumerate(part.reads.asked):
+            one = part.reads[index]
+            if function == 3:
+                assert len(one.values.words()) == 2 * quantity * len(one.request_ns)
+                count += len(one.request_ns)
+    assert refused > 5
+    assert count > 5
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_polls_used_together_leave_the_same_entries_as_one_by_one(number: int) -> None:
+    rng = random.Random(number)
+    limit = rng.randrange(1, 12)
+    together: LruDict[PollName, list[int]] = LruDict(list, limit=limit)
+    singly: LruDict[PollName, list[int]] = LruDict(list, limit=limit)
+    talk = Talk()
+    packets = talk.handshake()
+    for _ in range(rng.randrange(30, 120)):
+        address = rng.randrange(rng.choice((4, 20)))
+        request = encode_pdu(0x03, Direction.REQUEST, address=address, quantity=1)
+        packets += poll(talk, 1, request, encode_pdu(0x03, Direction.RESPONSE, values=(1,)))
+    with (
+        patch.object(quiet_rows, "FEWEST", 3),
+        patch.object(packet_block, "BLOCK_PACKETS", rng.choice((20, 60, 65_536))),
+    ):
+        runs = [part for part in in_runs(pcap(packets)) if isinstance(part, BlockRun)]
+    uses = 0
+    for run in runs:
+        for value, stay in together.use(run):
+            value += [uses + place for place in stay.places]
+        polls = run.stays((), len(run)).left
+        for place, name in sorted((place, one.name) for one in polls for place in one.places):
+            singly[name].append(uses + place)
+        uses += len(run)
+        assert list(together.items()) == list(singly.items())
+    assert uses > 20

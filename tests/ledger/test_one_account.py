@@ -135,7 +135,6 @@ def test_only_polls_and_functions_of_units_have_a_tally() -> None:
         if "RequestTally()" in path.read_text(encoding="utf-8")
     }
     assert makers == {
-        "ledger/account.py",  # Of a poll that comes back.
         "ledger/poll_statistics.py",
         "ledger/unit_account.py",
         "ledger/request_tally.py",

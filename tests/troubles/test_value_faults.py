@@ -347,8 +347,21 @@ class Words:
     def last(self) -> list[int]:
         raise NotImplementedError
 
-    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
+    def changes(
+        self, before: Sequence[int] | None, place: int, *, every: bool = False
+    ) -> ValueChanges:
         raise NotImplementedError
+
+
+class Reads:
+    """The reads of one poll, as AnsweredValues has them."""
+
+    def __init__(self, quantity: int, times: list[int], rows: Sequence[Sequence[int]]) -> None:
+        self.asked = [("a", 1, 3, 10, quantity)]
+        self._reads = [AnsweredReads(times, Words(rows))]
+
+    def __getitem__(self, index: int) -> AnsweredReads:
+        return self._reads[index]
 
 
 def test_the_portions_in_which_answers_come_do_not_matter() -> None:
@@ -361,7 +374,7 @@ def test_the_portions_in_which_answers_come_do_not_matter() -> None:
         sense = ValueFaults(Assignments())
         for begin, end in zip((0, *cuts), (*cuts, ROWS), strict=True):
             times = [at * SECOND for at in range(begin, end)]
-            sense.reads([AnsweredReads("a", 1, 3, 10, 4, times, Words(rows[begin:end]))])
+            sense.reads(Reads(4, times, rows[begin:end]))
             ask(sense)
         return [one.sentence for one in sense.troubles(())]
 
@@ -377,7 +390,7 @@ def test_the_portions_in_which_answers_come_do_not_matter() -> None:
 def test_very_many_equal_answers_at_once_are_passed_over() -> None:
     rows = [(5003,)] * 250_000
     sense = ValueFaults(Assignments())
-    sense.reads([AnsweredReads("a", 1, 3, 10, 1, [*range(len(rows))], Words(rows))])
+    sense.reads(Reads(1, [*range(len(rows))], rows))
     assert [*sense.troubles(())] == []
 
 

@@ -83,7 +83,7 @@ class Checker:
         """
         count = _ONE_BY_ONE
         while len(rows):
-            run = rows.run()
+            run = rows.run
             if self._takes(run):
                 yield rows, self._run(run)
                 return

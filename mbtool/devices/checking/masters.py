@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.checking.finding import packets_of, transaction_finding
@@ -35,7 +34,7 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
@@ -138,10 +137,11 @@ class MasterRules:
                 return False
         return True
 
-    def run(self, run: QuietRun) -> None:
+    def run(self, run: QuietRun, writes: Sequence[tuple[str, str, Write]]) -> None:
         """Count many reads and writes together, with the same result as `transaction` for each.
 
-        `run` has their times, grouped by connection, and the writes in their order.
+        `run` has their times, grouped by connection; `writes` has the writes in their order, each
+        with its master's host and its slave.
         """
         for one in run.connections:
             host = host_of(one.source)
@@ -150,12 +150,9 @@ class MasterRules:
                 continue
             master = self._slaves[one.destination][host]
             master.last_ns = max(master.last_ns, one.last_request_ns)
-        for write in run.writes:
-            masters = self._slaves[write.destination]
-            make = partial(run.head, write.row)
-            self._note_write(
-                masters, masters[host_of(write.source)], Write(write.at_ns, write.packets, make)
-            )
+        for source, slave, write in writes:
+            masters = self._slaves[slave]
+            self._note_write(masters, masters[source], write)
 
     def joined(self, host: str, slave: str, at_ns: int) -> None:
         """Note that the capture begins within a connection of `host` to `slave` (HOST:PORT).

@@ -25,14 +25,13 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.moments import host_of, milliseconds
 from mbtool.devices.checking.finding import Finding, transaction_finding
-from mbtool.devices.checking.quiet_run import QuietPoll
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.checking.quiet_run import QuietRun
+    from mbtool.devices.checking.quiet_run import PollName, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_POLLS = 4096
@@ -120,7 +119,7 @@ class PollRules:
     """
 
     def __init__(self) -> None:
-        self._polls: LruDict[tuple[object, ...], _Poll] = LruDict(_Poll, MAX_POLLS)
+        self._polls: LruDict[PollName, _Poll] = LruDict(_Poll, MAX_POLLS)
 
     def transaction(self, transaction: NamedTransaction) -> None:
         """Add the next transaction to its poll, the series of requests equal to its own.
@@ -147,27 +146,13 @@ class PollRules:
         return poll.usual_ns
 
     def run(self, run: QuietRun) -> None:
-        """Add many transactions together, with the same result as `transaction` for each.
-
-        `run` has the times of the requests, grouped by poll. If a poll may have to be dropped, only
-        the polls that are left at the end get their requests.
-        """
-        keys = [*map(_key, run.polls)]
-        if not self._polls.has_room(keys):
-            requests = run.requests
-            for poll, places in self._polls.use([keys[one.poll] for one in requests]):
-                times = [requests[place].at_ns for place in places]
-                if poll.first is None:
-                    head = run.head(requests[places[0]].row)
-                    poll.first, poll.last_ns = _said_of(head), times[0]
-                    times = times[1:]
-                poll.note_all(times)
-            return
-        for key, one in zip(keys, run.polls, strict=True):
-            poll, times = self._polls[key], one.request_ns
+        """Add many transactions together, with the same result as `transaction` for each."""
+        request_ns = run.rows.request_ns
+        for poll, stay in self._polls.use(run):
+            times = [request_ns[place] for place in stay.places]
             if poll.first is None:
-                poll.first, poll.last_ns = _said_of(run.head(one.first)), times[0]
-                times = times[1:]
+                poll.first, poll.last_ns = _said_of(run.like(stay.places[0])), times[0]
+                del times[0]
             poll.note_all(times)
 
     def close(self) -> Iterator[Finding]:
@@ -185,9 +170,9 @@ def _said_of(transaction: NamedTransaction) -> Finding:
     return transaction_finding("MB-404", transaction, request_text(transaction))
 
 
-def _key(one: NamedTransaction | QuietPoll) -> tuple[object, ...]:
-    master = one.master if isinstance(one, QuietPoll) else host_of(one.source)
-    return one.link, master, one.unit, one.function, one.address, one.quantity
+def _key(one: NamedTransaction) -> PollName:
+    master = host_of(one.source)
+    return one.link, master, one.unit, one.function, None, one.address, one.quantity, None, None
 
 
 def _text(poll: _Poll) -> str | None:

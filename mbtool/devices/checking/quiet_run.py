@@ -1,12 +1,17 @@
 """Figures about many answered Modbus/TCP reads and writes that break no rule by themselves, for the
-rules of `mbtool check`. The responses may be exceptions.
+rules of `mbtool check`, the account and the troubles. The responses may be exceptions.
 """
 
 # Most transactions of a capture are such reads and writes; columns/ decodes them into arrays,
 # without an object for each. But a rule must remember something about them, such as the last
 # request of a connection or the periods of a poll. The rules take this from the figures here,
 # without checking each transaction. A "run" is a series of such transactions with no other record
-# between them.
+# between them than openings and closings of connections. The place of a transaction is its index in
+# the run.
+#
+# A poll is all equal requests of one master to one unit. Rules and account keep a bounded number of
+# polls, and drop the one whose last request is oldest. The stay of a poll begins with the request
+# that finds no entry for it, and ends when its entry is dropped.
 
 from __future__ import annotations
 
@@ -14,43 +19,74 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Collection, Iterator
 
     from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
 
-
-class QuietPoll(NamedTuple):
-    """The equal requests of one master to one unit in a run."""
-
-    link: str
-    master: str
-    """The master's host."""
-    unit: int
-    function: int
-    address: int
-    quantity: int
-    first: int
-    """The row number of the first of these requests, for `QuietRun.head`."""
-    request_ns: list[int]
+PollName = tuple[object, ...]
+"""The fields of PollKey (ledger/poll_statistics.py): link, the master's host, unit, function, None,
+address, quantity, None and None."""
 
 
-class QuietRequest(NamedTuple):
-    """A request in a run."""
+class Stay(NamedTuple):
+    """The requests of a run in one stay of a poll."""
 
-    poll: int
-    """The index of its poll in `QuietRun.polls`."""
-    source: str
-    """HOST:PORT of the master."""
-    destination: str
-    at_ns: int
-    """The time of the request, in ns."""
-    row: int
-    """Its row number, for `QuietRun.head`."""
-    packets: tuple[int, int]
-    """The numbers of the packets of the request and its response."""
-    exception: int
+    name: PollName
+    number: int
+    """The number of the stay among those that begin in the run; negative if it began before."""
+    places: list[int]
+    """The places of its requests; not empty."""
+
+
+class Stays(NamedTuple):
+    """The stays of the polls of a bounded table, while the requests of a run are made in turn."""
+
+    dropped: list[PollName]
+    """The polls that are dropped before their first request in the run, if any, the oldest
+    first."""
+    ended: list[Stay]
+    """The stays that end within the run, in this order, but those of `passing`."""
+    passing: list[int]
+    """The places of the requests of stays that begin and end within the run and have few requests.
+    The stay that ended first is first."""
+    left: list[Stay]
+    """The stays with a request in the run that do not end, in the order of their last requests."""
+    begun: int
+    """The number of stays that begin in the run."""
+    fresh: list[int]
+    """The places of the first requests of these stays, and of their first ones with another
+    exception code as response."""
+
+
+class AlikeRequests(NamedTuple):
+    """Requests of a run that are equal except for their addresses, quantities, times, transaction
+    ids, values, packets and the TCP port of the master.
+    """
+
+    like: NamedTransaction
+    """One of the transactions as an example of all; it may come from an earlier run."""
+    places: list[int]
+    begin_ns: int
+    """The time (UTC ns) of the earliest request."""
+    end_ns: int
+    """The time (UTC ns) of the latest response."""
+
+
+class RunRows(NamedTuple):
+    """The fields of the transactions of a run, in the order of the responses."""
+
+    ends: list[tuple[str, str, str]]
+    """Link, HOST:PORT of the master, and HOST:PORT of the slave."""
+    asked: list[int]
+    """`asked_number` of the request."""
+    exceptions: list[int]
     """The exception code of the response; -1 if it is none."""
+    request_ns: list[int]
+    latencies_ns: list[int]
+    request_bytes: list[int]
+    """The number of bytes of the request's ADU."""
+    response_bytes: list[int]
 
 
 class QuietConnection(NamedTuple):
@@ -79,52 +115,58 @@ class QuietConnection(NamedTuple):
     beginning then."""
 
 
-class QuietRun:
+class ConnectionCounts(NamedTuple):
+    """Connections of one master at one link that were opened, or closed with FIN, in a run."""
+
+    link: str
+    host: str
+    """The master's host."""
+    opened: int
+    closed: int
+    most: int
+    """The most connections open at once in the run, less those open before it."""
+    first_opened_ns: int | None
+    """The time (UTC ns) of the first opening; None if there is none."""
+
+
+class QuietRun(Protocol):
     """Figures about consecutive Modbus/TCP reads and writes with the outcome OK or EXCEPTION, but
     no exception of a gateway.
 
-    None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
+    None of them has a finding, a retry, or a verdict of the decoder such as `malformed`, and no
+    response comes before its request. Times are UTC ns.
     """
 
-    def __init__(
-        self,
-        connections: list[QuietConnection],
-        polls: Callable[[], list[QuietPoll]],
-        writes: Callable[[], list[QuietRequest]],
-        requests: Callable[[], list[QuietRequest]],
-        head: Callable[[int], NamedTransaction],
-        last_event_ns: int = 0,
-        *,
-        has_exceptions: bool = False,
-    ) -> None:
-        self.connections = connections
-        """The transactions grouped by connection, in the order of their last requests or
-        openings."""
-        self._polls = polls
-        self._writes = writes
-        self._requests = requests
-        self.head = head
-        """Makes the transaction with a row number, but with the values and bytes of an equal
-        request."""
-        self.has_exceptions = has_exceptions
-        """True if some responses are exceptions."""
-        self.last_event_ns = last_event_ns
-        """The latest time (ns) of the opening or closing of a connection; 0 if there is none."""
+    def __len__(self) -> int:
+        """The number of transactions."""
+
+    connections: list[QuietConnection]
+    """The transactions grouped by connection, in the order of their last requests or
+        openings.
+        """
+    opened_and_closed: list[ConnectionCounts]
+    """The openings and closings of connections among the transactions."""
+    last_event_ns: int
+    """The latest time of the opening or closing of a connection; 0 if there is none."""
+
+    @property
+    def rows(self) -> RunRows:
+        """The fields of the transactions."""
+
+    @property
+    def forms(self) -> list[AlikeRequests]:
+        """The transactions grouped by all but address and quantity, in the order in which the
+        groups first appear.
+        """
 
     @cached_property
-    def polls(self) -> list[QuietPoll]:
-        """The transactions grouped by equal requests, in the order of their last requests."""
-        return self._polls()
-
-    @cached_property
-    def writes(self) -> list[QuietRequest]:
-        """The writes among them, in their order."""
-        return self._writes()
-
-    @cached_property
-    def requests(self) -> list[QuietRequest]:
-        """All requests, in the order of the responses."""
-        return self._requests()
+    def form(self) -> list[int]:
+        """For each transaction, the index in `forms` of its group."""
+        form = [0] * len(self)
+        for index, one in enumerate(self.forms):
+            for place in one.places:
+                form[place] = index
+        return form
 
     @property
     def last_request_ns(self) -> int:
@@ -134,6 +176,27 @@ class QuietRun:
     def last_response_ns(self) -> int:
         return max(one.last_response_ns for one in self.connections)
 
+    def stays(self, held: Collection[PollName], limit: int, few: int = 0) -> Stays:
+        """Return the stays of polls in a table with room for `limit` polls. `held` has the polls
+        that are in it before, the one whose last request is oldest first.
+
+        Stays with at most `few` requests that begin and end in the run are `Stays.passing`.
+        """
+
+    def slow(self, least_ns: int, most: int | None = None) -> list[tuple[int, int]]:
+        """Return place and latency of each transaction that took `least_ns` or longer, in order; of
+        each poll at most `most`, the longest ones.
+        """
+
+    def like(self, place: int) -> NamedTransaction:
+        """Make a transaction, but with the values and bytes of one with the same function."""
+
+    def packets(self, place: int) -> tuple[int, int]:
+        """Return the numbers of the packets of a request and its response."""
+
+    def transactions(self) -> Iterator[NamedTransaction]:
+        """Make the transactions one by one."""
+
 
 class QuietRows(Protocol):
     """Consecutive answered reads and writes (rows) that break no rule, with no other record between
@@ -142,14 +205,21 @@ class QuietRows(Protocol):
 
     def __len__(self) -> int: ...
 
+    @property
     def run(self) -> QuietRun:
         """The figures about all rows, for the rules."""
-        ...
 
     def records(self, count: int) -> Iterator[NamedTransaction | WireEvent]:
         """The transactions of the first `count` rows, and the events before the next row."""
-        ...
 
     def behind(self, count: int) -> Self:
         """All rows but the first `count`."""
-        ...
+
+
+def asked_number(unit: int, function: int, address: int | None, quantity: int | None) -> int:
+    """Return a number by which requests with the same unit, function, address and quantity are
+    recognised; not 0.
+    """
+    if address is None or quantity is None:
+        return hash((unit, function, address, quantity)) or 1
+    return unit << 40 | function << 32 | address << 16 | quantity

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
+from mbtool.devices.checking.quiet_run import asked_number
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.model import BehaviourName
@@ -173,15 +174,12 @@ class ResponseRules:
         if pending:
             if not all(self._has_responded[link, unit][0] for link, unit, _ in pending):
                 return False
-            if not {(link, unit, pdu[:3]) for link, unit, pdu in pending}.isdisjoint(
-                (
-                    poll.link,
-                    poll.unit,
-                    poll.function.to_bytes(1, "big") + poll.address.to_bytes(2, "big"),
-                )
-                for poll in run.polls
-            ):
-                return False
+            rows = zip(run.rows.ends, run.rows.asked, strict=True)
+            asked = {(link, number >> 16) for (link, _, _), number in rows}
+            for link, unit, pdu in pending:
+                address = int.from_bytes(pdu[1:3], "big")
+                if (link, asked_number(unit, pdu[0], address, 0) >> 16) in asked:
+                    return False
         connections = [(one.link, one.source) for one in run.connections]
         return self._states.would_keep(connections) and self._has_responded.has_room(units)
 
@@ -204,8 +202,8 @@ class ResponseRules:
                 state.since_ns = one.first_ns
             state.has_request, state.is_damaged = True, False
             state.last_request_ns = max(state.last_request_ns, one.last_request_ns)
-        for poll in run.polls:
-            self._has_responded[poll.link, poll.unit][0] = True
+        for form in sorted(run.forms, key=lambda one: one.places[-1]):
+            self._has_responded[form.like.link, form.like.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Note lost or damaged bytes. Yields findings about requests that waited too long."""

@@ -25,14 +25,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
 from mbtool.core import CONNECTION_JOINED
 from mbtool.devices.checking.finding import Finding, event_finding, packets_of, transaction_finding
+from mbtool.devices.checking.quiet_run import asked_number
 from mbtool.devices.checking.security_cases import (
-    Packets,
     host_of,
     is_identification,
     master_text,
@@ -44,7 +44,7 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Collection, Mapping
 
     from mbtool.core import WireEvent
     from mbtool.devices.checking.quiet_run import QuietRun
@@ -68,27 +68,8 @@ _AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
 
 
-class _UnitRequest(NamedTuple):
-    """A request to a unit."""
-
-    source: str
-    """The master's IP address; on a serial line, the name of the line."""
-    slave: str
-    """The slave's HOST:PORT; on a serial line, the name of the line."""
-    host: str
-    """The slave's IP address; empty on a serial line."""
-    unit: int
-    function: int
-    address: int | None
-    request: int
-    """A hash of its function, address and quantity, to recognise a repeated request."""
-    at_ns: int
-    packets: Packets
-    is_answered: bool
-    as_asked: bool
-    """True if the slave may have answered as asked."""
-    is_identification: bool = False
-    """True if it asks for the identification only."""
+_AskedUnit = tuple[str, str, int]
+"""The master's IP address, the slave's HOST:PORT, and the unit."""
 
 
 class ScanRules:
@@ -129,27 +110,23 @@ class ScanRules:
         is_missing = not is_refused and _is_missing(transaction, profile)
         if is_polled and not is_refused and not is_missing:
             return  # The usual case.
-        asked = _UnitRequest(
-            source,
-            slave,
-            "" if transaction.destination is None else host_of(transaction.destination),
-            transaction.unit,
-            transaction.function,
-            transaction.address,
-            hash((transaction.function, transaction.address, transaction.quantity)),
-            transaction.start_ns,
-            packets_of(transaction),
-            transaction.response_raw is not None,
-            transaction.outcome in _AS_ASKED,
-            is_identification(transaction),
-        )
+        unit, function, address = transaction.unit, transaction.function, transaction.address
+        asked = asked_number(unit, function, address, transaction.quantity)
+        at_ns, packets = transaction.start_ns, packets_of(transaction)
+        is_answered = transaction.response_raw is not None
         if not is_polled:
-            self._note_unit(asked, lambda: transaction)
+            self._note_unit(transaction, source, slave, asked)
         make = partial(_bare, transaction)
         if is_refused:
-            self._note_register(asked, make)
+            self._registers.note(
+                (source, slave, unit), (function, address), asked, at_ns, make,
+                is_answered=True, packets=packets,
+            )  # fmt: skip
         elif is_missing:
-            self._note_function(asked, make)
+            self._functions.note(
+                (source, slave, unit), function, asked, at_ns, make,
+                is_answered=is_answered, packets=packets,
+            )  # fmt: skip
 
     def takes(self, run: QuietRun) -> bool:
         """True if the masters poll all hosts to which these transactions open connections, so that
@@ -173,37 +150,69 @@ class ScanRules:
             for unit in one.units
             if not self._units.is_polled((host_of(one.source), one.destination), unit)
         }
-        if not unpolled and not run.has_exceptions:
-            return
-        polls = run.polls
-        hashes = [hash((one.function, one.address, one.quantity)) for one in polls]
-        for one in run.requests:
-            poll, exception = polls[one.poll], one.exception
-            is_unpolled = (one.source, one.destination, poll.unit) in unpolled
-            if exception < 0 and not is_unpolled:
+        if unpolled:
+            self._note_units(run, unpolled)
+        rows = run.rows
+        for place, exception in enumerate(rows.exceptions):
+            if exception < 0:
                 continue
-            source, slave = host_of(one.source), one.destination
-            self._note_sender(source, one.at_ns)
-            asked = _UnitRequest(
-                source,
-                slave,
-                host_of(slave),
-                poll.unit,
-                poll.function,
-                poll.address,
-                hashes[one.poll],
-                one.at_ns,
-                one.packets,
-                is_answered=True,
-                as_asked=exception < 0,
+            _, source, slave = rows.ends[place]
+            asked = rows.asked[place]
+            scope, function = (host_of(source), slave, asked >> 40), asked >> 32 & 0xFF
+            things: Unpolled[NamedTransaction] = self._registers
+            thing: object = function, asked >> 16 & 0xFFFF
+            if exception == ExceptionCode.ILLEGAL_FUNCTION:
+                things, thing = self._functions, function
+            elif exception not in _REFUSED_ADDRESS:
+                continue
+            things.note(
+                scope, thing, asked, rows.request_ns[place], partial(run.like, place),
+                is_answered=True, packets=run.packets(place),
+            )  # fmt: skip
+
+    def _note_units(self, run: QuietRun, unpolled: Collection[tuple[str, str, int]]) -> None:
+        """Count the requests of a run to units that are not known to be polled: those with these
+        ends and units.
+        """
+        units: dict[_AskedUnit, list[int]] = {}
+        for place, ((_, source, slave), asked) in enumerate(
+            zip(run.rows.ends, run.rows.asked, strict=True)
+        ):
+            unit = asked >> 40
+            if (source, slave, unit) in unpolled:
+                units.setdefault((host_of(source), slave, unit), []).append(place)
+        for (host, _, _), places in units.items():
+            self._note_sender(host, run.rows.request_ns[places[0]])
+        if self._units.has_room(len(units)) and self._hosts.has_room(len(units)):
+            self._note_requests(run, units)
+            return
+        # The order of the requests decides which things are dropped.
+        for place, one in sorted((place, one) for one, some in units.items() for place in some):
+            self._note_requests(run, {one: [place]})
+
+    def _note_requests(self, run: QuietRun, units: Mapping[_AskedUnit, list[int]]) -> None:
+        """Count requests of a run: those at these places, to these units."""
+        hosts: dict[tuple[str, str], list[int]] = {}
+        polled: dict[tuple[str, str], int] = {}
+        """The place of the request that shows that a host is polled."""
+        for (source, slave, unit), places in units.items():
+            host = source, host_of(slave)
+            at = self._units.note_all(
+                (source, slave), unit, run, places, lambda one: _unit_case(run.like(one))
             )
-            head = partial(run.head, one.row)
-            if is_unpolled:
-                self._note_unit(asked, head)
-            if exception in _REFUSED_ADDRESS:
-                self._note_register(asked, head)
-            elif exception == ExceptionCode.ILLEGAL_FUNCTION:
-                self._note_function(asked, head)
+            if at is not None:
+                polled[host] = min(polled.get(host, at), at)
+                places = [place for place in places if place < at]
+            hosts.setdefault(host, []).extend(places)
+        for (source, slave_host), places in hosts.items():
+            end = polled.get((source, slave_host), len(run))
+            before = sorted(place for place in places if place < end)
+            make = partial(_host_finding, run, _hosts(source))
+            self._hosts.note_all((source,), slave_host, run, before, make)
+            if end < len(run):
+                self._hosts.set_polled((source,), slave_host)
+        if polled and self._polled_ns is None:
+            self._polled_ns = run.rows.request_ns[min(polled.values())]
 
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
@@ -251,61 +260,33 @@ class ScanRules:
         first_ns = self._first_heard_ns.get(source)
         return self._polled_ns is None or first_ns is None or first_ns <= self._polled_ns
 
-    def _note_unit(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
-        """Count a request to a unit that is not known to be polled. `make` makes its
-        transaction.
+    def _note_unit(
+        self, transaction: NamedTransaction, source: str, slave: str, asked: int
+    ) -> None:
+        """Count a request to a unit that is not known to be polled. `asked` is its
+        `asked_number`.
         """
-        source, host = asked.source, asked.host
+        at_ns, packets = transaction.start_ns, packets_of(transaction)
+        is_answered = transaction.response_raw is not None
+        as_asked = transaction.outcome in _AS_ASKED
         is_polled = self._units.note(
-            (source, asked.slave),
-            asked.unit,
-            asked.request,
-            asked.at_ns,
-            lambda: _unit_case(make()),
-            is_answered=asked.is_answered,
-            is_answered_as_asked=asked.as_asked,
-            packets=asked.packets,
-        )
+            (source, slave), transaction.unit, asked, at_ns, lambda: _unit_case(transaction),
+            is_answered=is_answered, is_answered_as_asked=as_asked, packets=packets,
+        )  # fmt: skip
         if is_polled and self._polled_ns is None:
-            self._polled_ns = asked.at_ns
-        if not host:
+            self._polled_ns = at_ns
+        if transaction.destination is None:
             return
+        host = host_of(transaction.destination)
         if is_polled:
             self._hosts.set_polled((source,), host)
             return
         self._hosts.note(
-            (source,),
-            host,
-            hash((asked.request, asked.unit)),
-            asked.at_ns,
-            lambda: _finding("SEC-201", make(), _hosts(source)),
-            is_answered=asked.is_answered,
-            is_answered_as_asked=asked.as_asked,
-            is_identification=asked.is_identification,
-            packets=asked.packets,
-        )
-
-    def _note_function(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
-        self._functions.note(
-            (asked.source, asked.slave, asked.unit),
-            asked.function,
-            asked.request,
-            asked.at_ns,
-            make,
-            is_answered=asked.is_answered,
-            packets=asked.packets,
-        )
-
-    def _note_register(self, asked: _UnitRequest, make: Callable[[], NamedTransaction]) -> None:
-        self._registers.note(
-            (asked.source, asked.slave, asked.unit),
-            (asked.function, asked.address),
-            asked.request,
-            asked.at_ns,
-            make,
-            is_answered=True,
-            packets=asked.packets,
-        )
+            (source,), host, asked, at_ns,
+            lambda: _finding("SEC-201", transaction, _hosts(source)),
+            is_answered=is_answered, is_answered_as_asked=as_asked,
+            is_identification=is_identification(transaction), packets=packets,
+        )  # fmt: skip
 
 
 def _bare(transaction: NamedTransaction) -> NamedTransaction:
@@ -364,6 +345,10 @@ def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
     """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)
+
+
+def _host_finding(run: QuietRun, text: str, place: int) -> Finding:
+    return _finding("SEC-201", run.like(place), text)
 
 
 def _hosts(source: str) -> str:

@@ -21,7 +21,7 @@ from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
@@ -67,8 +67,16 @@ class SecurityRules:
 
     def run(self, run: QuietRun) -> None:
         """Count many transactions together, with the same result as `transaction` for each."""
-        self._masters.run(run)
-        self._commands.run(run)
+        rows = run.rows
+        writes = []
+        for place, asked in enumerate(rows.asked):
+            if not FUNCTIONS[asked >> 32 & 0xFF].writes:
+                continue
+            write = Write(rows.request_ns[place], run.packets(place), partial(run.like, place))
+            _, source, slave = rows.ends[place]
+            writes.append((host_of(source), slave, write))
+        self._masters.run(run, writes)
+        self._commands.run(writes)
         self._scans.run(run)
 
     def event(self, event: WireEvent) -> None:
@@ -160,11 +168,10 @@ class CommandRules:
         if command is not None:
             self._note_command(transaction, source, command)
 
-    def run(self, run: QuietRun) -> None:
-        """Count many reads and writes together, with the same result as `transaction` for each."""
-        for one in run.writes:
-            write = Write(one.at_ns, one.packets, partial(run.head, one.row))
-            self._note_write(self._on_network, host_of(one.source), one.destination, write)
+    def run(self, writes: Sequence[tuple[str, str, Write]]) -> None:
+        """Count many writes together, with the same result as `transaction` for each."""
+        for source, slave, write in writes:
+            self._note_write(self._on_network, source, slave, write)
 
     def _note_write(
         self,

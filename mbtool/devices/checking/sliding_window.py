@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 
+    from mbtool.devices.checking.quiet_run import PollName, QuietRun, Stay
     from mbtool.devices.checking.security_limits import SecurityLimit
 
 # LruDict is a dictionary of bounded size for the state of many connections, units or requests.
@@ -24,36 +25,6 @@ K = TypeVar("K", bound="Hashable")
 V = TypeVar("V")
 
 MAX_ENTRIES = 4096
-BEFORE = -1
-"""In the list of a stay, stands for all uses before the first one of the call."""
-
-
-class Stays(Generic[K]):
-    """The stays of the entries of a bounded dictionary while keys are used in turn.
-
-    At the limit, the entry that was used least recently goes. A key has a new stay each time that
-    it is used without having an entry. A stay is the list of the indices in `keys` at which its key
-    was used; it begins with BEFORE if the dictionary had the entry before.
-    """
-
-    def __init__(self, keys: Iterable[K], held: Iterable[K], limit: int) -> None:
-        """Use each of `keys` in turn. `held` are those with an entry, the one used last at the
-        end.
-        """
-        self.left: OrderedDict[K, list[int]] = OrderedDict((key, [BEFORE]) for key in held)
-        """The stays that do not end, in the order of their last uses."""
-        self.ended: list[tuple[K, list[int]]] = []
-        """The stays that end, in this order."""
-        left, end, get = self.left, self.ended.append, self.left.get
-        for place, key in enumerate(keys):
-            stay = get(key)
-            if stay is None:
-                if len(left) >= limit:
-                    end(left.popitem(last=False))
-                left[key] = [place]
-            else:
-                stay.append(place)
-                left.move_to_end(key)
 
 
 class LruDict(Generic[K, V]):
@@ -77,17 +48,15 @@ class LruDict(Generic[K, V]):
             self._entries.move_to_end(key)
         return value
 
-    def use(self, keys: Iterable[K]) -> Iterator[tuple[V, list[int]]]:
-        """Use each of the keys in turn, as `[]` does. Yields the entries that are left of those
-        used: the value, and the indices of their keys since the entry was made.
+    def use(self: LruDict[PollName, V], run: QuietRun) -> Iterator[tuple[V, Stay]]:
+        """Use the names of the polls of a run as keys, in turn, as `[]` does. Yields the entries
+        that are left of those used, with their stays in the run.
         """
-        stays, before = Stays(keys, self._entries, self._limit), self._entries
-        self._entries = OrderedDict()
-        for key, places in stays.left.items():
-            is_old = places[0] == BEFORE
-            value = self._entries[key] = before[key] if is_old else self._make()
-            if len(places) > is_old:
-                yield value, places[is_old:]
+        stays = run.stays(self._entries, self._limit, few=len(run))
+        for name in (*stays.dropped, *(stay.name for stay in stays.ended)):
+            del self._entries[name]
+        for stay in stays.left:
+            yield self[stay.name], stay
 
     def get(self, key: K) -> V | None:
         """Return the value of a key; None if there is none.

@@ -23,7 +23,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -33,6 +33,7 @@ from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit
 
@@ -106,6 +107,31 @@ class Attempts:
         self.repeats += 1
         self.is_answered = is_answered
         return self.repeats >= MAX_ATTEMPTS
+
+    def polls_at(self, requests: list[int]) -> int | None:
+        """Take the master's next requests to the thing into account, all of them answered.
+
+        Returns the index of the request with which the master is known to poll; None if it is not.
+        """
+        begin = 0
+        while begin < len(requests):
+            if self.request == OPENED:
+                self.number, self.request = 0, requests[begin] + 1  # This is the first request.
+            # The remembered request is replaced with the next one whose number is a power of two.
+            end = begin + max((1 << self.number.bit_length()) - self.number, 1)
+            some = requests[begin:end]
+            found = self.request in some
+            if found:
+                some = some[: some.index(self.request) + 1]
+            begin += len(some)
+            self.number += len(some)
+            if found:
+                if self.is_answered or self.repeats + 1 >= MAX_ATTEMPTS:
+                    return begin - 1
+                self.repeats, self.is_answered = self.repeats + 1, True
+            elif self.number & (self.number - 1) == 0:
+                self.request, self.is_answered, self.repeats = some[-1], True, 0
+        return None
 
 
 class _UnpolledThings:
@@ -214,6 +240,58 @@ class Unpolled(Generic[R]):
         attempts.last_ns = max(attempts.last_ns, at_ns)
         attempts.reads_more |= request != OPENED and not is_identification
         return False
+
+    def has_room(self, count: int) -> bool:
+        """True if no thing must be dropped for so many new ones."""
+        return max(len(self._attempts), len(self._polled)) + count <= MAX_THINGS
+
+    def note_all(
+        self,
+        scope: _Scope,
+        item: Hashable,
+        run: QuietRun,
+        places: Sequence[int],
+        make: Callable[[int], R],
+    ) -> int | None:
+        """Take the requests of a run to a thing into account: those at these places, sorted. The
+        result is the same as if `note` was called for each; `make` gets the place of the first one.
+
+        Returns the place of the request with which the thing is known to be polled; None if it is
+        not.
+        """
+        thing = (scope, item)
+        if not places or thing in self._polled:
+            return places[0] if places else None
+        attempts, rows = self._attempts.get(thing), run.rows
+        at_ns = rows.request_ns
+        begin = 0
+        if attempts is None:
+            first = places[0]
+            self.note(
+                scope,
+                item,
+                rows.asked[first],
+                at_ns[first],
+                lambda: make(first),
+                is_answered=True,
+                is_answered_as_asked=rows.exceptions[first] < 0,
+                packets=run.packets(first),
+            )
+            attempts = self._attempts[thing]
+            begin = 1
+        number = attempts.polls_at([rows.asked[place] for place in places[begin:]])
+        end = None if number is None else begin + number
+        some = places[begin:end]
+        if some:
+            attempts.is_answered_as_asked |= any(rows.exceptions[place] < 0 for place in some)
+            room = MAX_PACKETS - len(attempts.more)
+            attempts.more += tuple(run.packets(place) for place in some[:room])
+            attempts.last_ns = max(attempts.last_ns, *(at_ns[place] for place in some))
+            attempts.reads_more = True
+        if end is None:
+            return None
+        self.set_polled(scope, item)
+        return places[end]
 
     def close(
         self,

@@ -17,28 +17,26 @@ beside pauses.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
-from mbtool.core.moments import host_of
 from mbtool.ledger.account import MAX_POLLS
-from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
+from mbtool.ledger.poll_statistics import LONGEST, PollKey
 from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
-from mbtool.troubles.polling import PAUSE_NS
+from mbtool.troubles.polling import LATE_NS, PAUSE_NS
 from mbtool.views.cells import result_text, transaction_text
 from mbtool.views.report.late_answers import LateAnswers
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.ledger.answered_reads import SlowRead
-    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.devices.checking.quiet_run import QuietRun
 
 # Keeps the transactions before and after the longest pauses of each poll, for the report's table.
 #
@@ -95,7 +93,7 @@ class BesidePauses:
 
     def note_run(
         self,
-        run: AnsweredRun,
+        run: QuietRun,
         number: int,
         transactions_at: Callable[[list[int]], Iterable[NamedTransaction]],
     ) -> None:
@@ -104,26 +102,29 @@ class BesidePauses:
         `transactions_at` returns those with these indices in the batch.
         """
         slots: dict[PollKey, int] = {}
-        likes = (kind.like for kind in run.kinds)
-        keys = (poll_key(like, host_of(like.source)) for like in likes)
-        slot_of = [slots.setdefault(key, len(slots)) for key in keys]
-        asked = [self._last.get(key) for key in slots]
-        last_ns = [_NEVER_NS if one is None else one.one.start_ns for one in asked]
-        last_places = [-1] * len(slots)
+        asked: list[_Asked | None] = []
+        last_places: list[int] = []
         beside: list[tuple[int, int, int, int]] = []
-        for place, (kind, at_ns) in enumerate(zip(run.kind, run.request_ns, strict=True)):
-            slot = slot_of[kind]
-            if at_ns - last_ns[slot] >= PAUSE_NS:
-                beside.append((slot, at_ns - last_ns[slot], last_places[slot], place))
-            last_ns[slot] = at_ns
-            last_places[slot] = place
+        request_ns = run.rows.request_ns
+        for stay in sorted(run.stays((), len(run)).left, key=lambda one: one.number):
+            key, slot = PollKey._make(stay.name), len(slots)
+            slots[key] = slot
+            asked.append(self._last.get(key))
+            last_places.append(stay.places[-1])
+            last, before = asked[-1], -1
+            last_ns = _NEVER_NS if last is None else last.one.start_ns
+            for place in stay.places:
+                if request_ns[place] - last_ns >= PAUSE_NS:
+                    beside.append((place, slot, request_ns[place] - last_ns, before))
+                last_ns, before = request_ns[place], place
+        beside.sort()
 
         def asked_at(*places: int) -> list[_Asked]:
             made = zip(places, transactions_at([*places]), strict=True)
             return [_Asked(number + place + 1, one) for place, one in made]
 
         of_slot = list(slots)
-        for slot, pause_ns, before, after in beside:
+        for after, slot, pause_ns, before in beside:
             if self._is_long(of_slot[slot], pause_ns):
                 last = asked[slot] if before < 0 else asked_at(before)[0]
                 if last is not None:
@@ -228,31 +229,53 @@ class TransactionRows:
         codes = dict.fromkeys((*one.findings, *codes))
         has_trouble = bool(codes) or one.outcome not in _WELL
         self.with_trouble += has_trouble
-        if self._everything or self.transactions <= FIRST or self._is_wanted(one, codes):
-            self.kept_with_trouble += has_trouble
-            row = self._row(self.transactions, one, codes, is_damaged=damaged_ns is not None)
-            self.rows.append(row)
-            self._by_time[one.link, one.unit, one.start_ns] = row, codes
-            if damaged_ns is not None:
-                self._by_time[one.link, one.unit, damaged_ns] = row, codes
+        kind = one.link, one.unit, " ".join(codes) or one.outcome.value
+        if (
+            self._everything
+            or self.transactions <= FIRST
+            or (has_trouble and self._is_wanted(kind))
+        ):
+            self._keep(self.transactions, one, codes, damaged_ns)
         elif one.latency_ns is not None:
             unit = UnitKey(one.link, one.unit)
             self._late.offer(unit, one.latency_ns, self.transactions, lambda: one)
 
-    def first_of(self, count: int) -> int:
-        """Return the number of transactions, out of the next `count`, that need a row. None of the
-        `count` transactions failed or has a finding.
+    def add_run(
+        self,
+        run: QuietRun,
+        transactions_at: Callable[[list[int]], Iterable[NamedTransaction]],
+    ) -> None:
+        """Take the transactions of a batch, none of which has a finding. `transactions_at` is as
+        for BesidePauses.note_run.
         """
-        return count if self._everything else min(max(FIRST - self.transactions, 0), count)
+        rows, before = run.rows, self.transactions
+        first = len(run) if self._everything else min(max(FIRST - before, 0), len(run))
+        refused = [place for place, code in enumerate(rows.exceptions) if code >= 0]
+        self.with_trouble += len(refused)
+        kept = dict.fromkeys(range(first))
+        for place in refused:
+            kind = rows.ends[place][0], rows.asked[place] >> 40, Outcome.EXCEPTION.value
+            if place >= first and self._is_wanted(kind):
+                kept[place] = None
+        for place, one in zip(kept, transactions_at([*kept]), strict=True):
+            self._keep(before + 1 + place, one, {}, None)
+        for place, latency_ns in run.slow(LATE_NS):
+            if place not in kept:
+                unit = UnitKey(rows.ends[place][0], rows.asked[place] >> 40)
+                make = partial(_only, transactions_at, place)
+                self._late.offer(unit, latency_ns, before + 1 + place, make)
+        self.transactions += len(run)
 
-    def pass_over(self, count: int, slow: Iterable[SlowRead]) -> None:
-        """Count transactions of which none failed or has a finding. `slow` has those that may be
-        late; the others need no row.
-        """
-        for one in slow:
-            number = self.transactions + 1 + one.place
-            self._late.offer(UnitKey(one.link, one.unit), one.latency_ns, number, one.transaction)
-        self.transactions += count
+    def _keep(
+        self, number: int, one: NamedTransaction, codes: dict[str, None], damaged_ns: int | None
+    ) -> None:
+        """Keep a row for a transaction."""
+        self.kept_with_trouble += bool(codes) or one.outcome not in _WELL
+        row = self._row(number, one, codes, is_damaged=damaged_ns is not None)
+        self.rows.append(row)
+        self._by_time[one.link, one.unit, one.start_ns] = row, codes
+        if damaged_ns is not None:
+            self._by_time[one.link, one.unit, damaged_ns] = row, codes
 
     def add_finding(self, finding: Finding) -> None:
         """Add a finding about an earlier transaction to its row, unless the row was not kept."""
@@ -304,10 +327,10 @@ class TransactionRows:
             "beside_pauses": len(beside),
         }
 
-    def _is_wanted(self, one: NamedTransaction, codes: dict[str, None]) -> bool:
-        if not codes and one.outcome in _WELL:
-            return False
-        kind = (one.link, one.unit, " ".join(codes) or one.outcome.value)
+    def _is_wanted(self, kind: tuple[str, int, str]) -> bool:
+        """True if a transaction that failed gets a row; `kind` has its link, its unit, and the
+        codes of its findings or its outcome.
+        """
         self._kinds[kind] += 1
         if self._kinds[kind] > OF_KIND or self._more >= MORE:
             return False
@@ -364,3 +387,10 @@ class TransactionRows:
             self._texts.append(text)
             self._size += len(text)
         return place
+
+
+def _only(
+    transactions_at: Callable[[list[int]], Iterable[NamedTransaction]], place: int
+) -> NamedTransaction:
+    (one,) = transactions_at([place])
+    return one
