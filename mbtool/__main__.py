@@ -34,6 +34,9 @@ def _leave_or_show(
 ) -> None:
     if issubclass(kind, KeyboardInterrupt):
         leave()
+    if issubclass(kind, MemoryError):
+        os.write(2, b"mbtool: this process may use no more memory; see ulimit -v\n")
+        os._exit(3)  # exit_codes.UNREADABLE
     sys.__excepthook__(kind, error, trace)
 
 

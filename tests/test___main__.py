@@ -110,3 +110,24 @@ def test_can_be_run_as_a_module() -> None:
         [sys.executable, "-m", "mbtool", "--version"], capture_output=True, text=True, check=True
     )
     assert ran.stdout.startswith("mbtool ")
+
+
+def test_too_little_memory_is_told_in_one_line() -> None:
+    program = "import sys, mbtool.__main__; raise MemoryError"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == b"mbtool: this process may use no more memory; see ulimit -v\n"
+
+
+def test_too_few_open_files_for_a_server_are_told_in_one_line(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    command = ["sniff", "tap:127.0.0.1:0=127.0.0.1:1", "-w", str(tmp_path / "x.mcap")]
+    ran = subprocess.run(
+        [sys.executable, "-m", "mbtool", *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (5, 5)),
+    )
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr.count("\n") == 1

@@ -165,11 +165,12 @@ def main() -> None:
 def _interrupt_again(ignored: sys.UnraisableHookArgs) -> None:
     """Repeat Ctrl-C if Python has ignored it, as it does in a finalizer or a weak reference's call.
 
-    Any other ignored exception is printed.
+    Any other ignored exception is printed, except that of an event loop which could not be made:
+    why it could not is an error of its own.
     """
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         Timer(_AGAIN_S, _interrupt_process).start()
-    else:
+    elif getattr(ignored.object, "__qualname__", "") != "BaseEventLoop.__del__":
         sys.__unraisablehook__(ignored)
 
 

@@ -9,7 +9,7 @@
 #
 # If the number of files is limited, the oldest one is removed before the next is begun, and also
 # when the disk is full. Only finished files of this run are removed; if the run continues an
-# existing series, those of the earlier runs, too.
+# existing series, those of the earlier runs, too: logs whose metadata name the same number.
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import msgspec
 
-from mbtool.core import UsageError
+from mbtool.core import InputError, UsageError
 from mbtool.core.closing import ClosesOnExit
 from mbtool.core.moments import SECOND_NS
 from mbtool.core.replacing import sync_folder
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
+from mbtool.logs.status import read_status
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
@@ -217,7 +218,7 @@ class RotatingLog(ClosesOnExit):
         if self._continues and parts:
             self._number = part_number(parts[-1]) + 1
             for part in parts:
-                if not part.stem.endswith(_KEPT):
+                if not part.stem.endswith(_KEPT) and _is_of_a_series(part):
                     self._finish(part)
 
     def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
@@ -326,7 +327,16 @@ def parts_of(path: Path) -> list[Path]:
     except OSError:
         return []
     found = [path.with_name(name) for name in names if numbered.fullmatch(name)]
-    return sorted(found, key=part_number)
+    ours = [one for one in found if one.name.startswith(part_path(path, part_number(one)).stem)]
+    return sorted(ours, key=part_number)
+
+
+def _is_of_a_series(part: Path) -> bool:
+    """True if a file is a log that was written as this part of a series, and not only named so."""
+    try:
+        return read_status(part).capture.get("part") == str(part_number(part))
+    except InputError:
+        return False
 
 
 def with_parts(paths: Iterable[str]) -> list[str]:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,8 @@ def read_jsonl(file: BinaryIO, name: str) -> Iterator[NamedTransaction | WireEve
     for number, line in enumerate(lines, 1):
         if len(line) > MAX_LINE:
             raise InputError(f"{name}: line {number} has more than {MAX_LINE} bytes")
+        if number == 1:
+            line = line.removeprefix(BOM_UTF8)
         if not line.strip():
             continue
         try:

@@ -231,6 +231,11 @@ class SerialWire(Wire):
         self._master.close()
 
 
+MAX_HEARD = 1 << 16
+"""About so many bytes are read for one request, or dropped before one: a slave may send without
+end."""
+
+
 class TcpWire(Wire):
     """A TCP connection: Modbus/TCP, or RTU over TCP."""
 
@@ -326,6 +331,8 @@ class TcpWire(Wire):
                 data = self._socket.recv(READ_BYTES)
                 first_ns = first_ns or time.monotonic_ns()
                 raw += data
+                if len(raw) > MAX_HEARD:
+                    break
                 if not data:
                     is_closed = True
                     self.close()
@@ -345,10 +352,13 @@ class TcpWire(Wire):
         """
         if self._socket is None:
             return True
+        dropped = 0
         try:
-            while select.select([self._socket], [], [], 0)[0]:
-                if not self._socket.recv(READ_BYTES):
+            while dropped <= MAX_HEARD and select.select([self._socket], [], [], 0)[0]:
+                data = self._socket.recv(READ_BYTES)
+                if not data:
                     return True
+                dropped += len(data)
         except OSError:
             return True
         return False

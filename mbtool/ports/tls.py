@@ -211,6 +211,10 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
     context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
 
 
+MAX_PEM = 1 << 20
+"""The first bytes of a certificate or key file in which its first PEM block is looked for."""
+
+
 def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
     """Return the content of a certificate or key file, which the user gave by `option`.
 
@@ -219,7 +223,8 @@ def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
     no such line.
     """
     try:
-        held = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            held = file.read(MAX_PEM)
     except OSError as error:
         raise LinkError(f"{option} {path}: cannot be read: {error.strerror}") from None
     if label.search(held) is None:

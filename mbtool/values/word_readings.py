@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
@@ -48,7 +49,8 @@ class WordReading(NamedTuple):
         return self.type.words
 
 
-_SWAPPED = [(word >> 8) | ((word & 0xFF) << 8) for word in range(1 << 16)]
+_SWAPPED = array("H", range(1 << 16))
+_SWAPPED.byteswap()
 
 
 def numbers_in(columns: Sequence[Sequence[int]], reading: WordReading) -> Sequence[float] | None:

@@ -41,6 +41,15 @@ def test_the_transactions_go_into_jsonl_and_back(mbtool: CommandLine, tmp_path: 
     assert rows[0] == rows[1]
 
 
+def test_a_mark_of_the_byte_order_before_the_first_transaction_is_no_fault(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    lines = tmp_path / "a.jsonl"
+    assert mbtool("convert", LINE, lines).code == exit_codes.DONE
+    lines.write_bytes(b"\xef\xbb\xbf" + lines.read_bytes())
+    assert mbtool("convert", lines, tmp_path / "b.mcap").code == exit_codes.DONE
+
+
 def test_a_file_that_exists_is_replaced_only_if_that_is_wanted(
     mbtool: CommandLine, tmp_path: Path
 ) -> None:

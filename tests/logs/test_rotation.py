@@ -7,6 +7,7 @@ import pytest
 from mbtool.core import OutputError, UsageError
 from mbtool.logs.reader import LogReader, read_log
 from mbtool.logs.rotation import RotatingLog, Rotation, with_parts
+from mbtool.logs.writer import LogWriter
 from tests.logs.samples import chunk
 
 if TYPE_CHECKING:
@@ -103,7 +104,10 @@ def test_with_a_limit_of_files_the_oldest_goes_before_the_next_begins(tmp_path: 
 
 
 def test_a_series_that_goes_on_counts_the_parts_of_the_runs_before(tmp_path: Path) -> None:
-    for name in ("x-0007.mcap", "x-0012.mcap", "x-10001.mcap", "x-old.mcap", "y-0001.mcap"):
+    for number in (7, 12, 10001):
+        path = tmp_path / f"x-{number:04}.mcap"
+        LogWriter(path, capture={"part": str(number)}).close()
+    for name in ("x-old.mcap", "y-0001.mcap"):
         (tmp_path / name).write_bytes(b"old")
     rotation = Rotation(time_ns=1)
     with RotatingLog(tmp_path / "x.mcap", rotation, capture={}, keep=3, continues=True) as log:
@@ -112,6 +116,23 @@ def test_a_series_that_goes_on_counts_the_parts_of_the_runs_before(tmp_path: Pat
             "x-0012.mcap", "x-10001.mcap", "x-10002.mcap", "x-old.mcap", "y-0001.mcap"
         ]  # fmt: skip
         assert log.path.name == "x-10002.mcap"
+
+
+def test_a_file_that_only_has_the_name_of_a_part_is_never_removed(tmp_path: Path) -> None:
+    LogWriter(tmp_path / "x-0007.mcap", capture={"part": "3"}).close()  # Renamed by its owner.
+    (tmp_path / "x-0008.mcap").write_bytes(b"of another program")
+    (tmp_path / "x-00001.mcap").write_bytes(b"a number that no part is written with")
+    others = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    rotation = Rotation(time_ns=1)
+    with RotatingLog(tmp_path / "x.mcap", rotation, capture={}, keep=2, continues=True) as log:
+        for number in range(5):
+            log.tick(number)
+            log.write(chunk(number))
+        assert log.path.name == "x-0013.mcap"
+    assert {path: path.read_bytes() for path in others} == others
+    assert sorted(path.name for path in tmp_path.iterdir() if path not in others) == [
+        "x-0012.mcap", "x-0013.mcap"
+    ]  # fmt: skip
 
 
 def test_with_a_limit_files_of_others_stay(tmp_path: Path) -> None:

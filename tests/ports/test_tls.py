@@ -76,6 +76,7 @@ def test_certificate_and_key_may_be_in_two_files(tmp_path: Path) -> None:
             "is locked with a passphrase; unlock a copy of it: openssl",
         ),
         (ListenTls(SLAVE, ca=EXPIRED_CA), "the last ended Feb  1 00:00:00 2020 GMT"),
+        (ListenTls("/dev/zero"), "--tls-cert /dev/zero: holds no certificate in PEM"),
         (TargetTls("absent.pem"), "--tls-target-ca absent.pem: cannot be read"),
         (TargetTls(CA, "absent.pem"), "--tls-target-cert absent.pem: cannot be read"),
         (TargetTls(CA, MASTER, SLAVE), "--tls-target-cert"),

@@ -18,7 +18,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import sub
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
@@ -27,12 +27,12 @@ from mbtool.core.moments import host_of, milliseconds
 from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
-from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.devices.checking.quiet_run import PollName, QuietRun
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_POLLS = 4096
 MAX_PERIODS = 256
@@ -56,7 +56,10 @@ _MULTIPLIER = 2_654_435_761
 
 @dataclass(slots=True)
 class _Poll:
-    first: NamedTransaction | None = None
+    first: Finding | None = None
+    """What a finding says of the first request. It is kept in place of the transaction, which holds
+    its values and bytes.
+    """
     last_ns: int = 0
     sample: list[tuple[int, int]] = field(default_factory=list)
     """The sampled periods: the hash of the period's number, and the period in ns."""
@@ -128,7 +131,7 @@ class PollRules:
             return
         poll = self._polls[_key(transaction)]
         if poll.first is None:
-            poll.first, poll.last_ns = transaction, at_ns
+            poll.first, poll.last_ns = _said_of(transaction), at_ns
         else:
             poll.note(at_ns)
 
@@ -148,7 +151,7 @@ class PollRules:
         for poll, stay in self._polls.use(run):
             times = [request_ns[place] for place in stay.places]
             if poll.first is None:
-                poll.first, poll.last_ns = run.like(stay.places[0]), times[0]
+                poll.first, poll.last_ns = _said_of(run.like(stay.places[0])), times[0]
                 del times[0]
             poll.note_all(times)
 
@@ -160,9 +163,11 @@ class PollRules:
         for poll in self._polls.values():
             text = _text(poll)
             if text is not None and poll.first is not None:
-                yield transaction_finding(
-                    "MB-404", poll.first, f"{request_text(poll.first)}: {text}"
-                )
+                yield replace(poll.first, message=f"{poll.first.message}: {text}")
+
+
+def _said_of(transaction: NamedTransaction) -> Finding:
+    return transaction_finding("MB-404", transaction, request_text(transaction))
 
 
 def _key(one: NamedTransaction) -> PollName:

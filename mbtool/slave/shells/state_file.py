@@ -2,12 +2,16 @@
 
 # The file is TOML with the device's references as keys, like a file of start values
 # (image_file.py). It is written when a non-volatile register has changed, before the master gets
-# the response, and is on the disk then (core/replacing.py).
+# the response, and is on the disk then (core/replacing.py). The process locks the file, and each
+# new one that replaces it; another process is refused.
 
 from __future__ import annotations
 
 import errno
 import json
+import os
+import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, OutputError, UsageError
@@ -15,6 +19,9 @@ from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replace_content
 from mbtool.devices import write_reference
 from mbtool.slave.device.image_file import load_image
+
+if sys.platform != "win32":
+    import fcntl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,6 +51,7 @@ def keep_state(
     if path.exists():
         if not path.is_file():
             raise UsageError(f"{path}: is no file; --state wants one that can be written anew")
+        _lock(path)
         load_image(path, profile, device.image, kept)
 
     def save() -> None:
@@ -55,12 +63,15 @@ def keep_state(
                 for address, value in zip(span, values, strict=True)
             ]
         replace_content(path, "".join(lines).encode())
+        _lock(path)
 
     def keep() -> None:
         try:
             save()
         except OSError as error:
             on_trouble(f"{path}: not written: {error.strerror or error}; its state is not kept")
+        except UsageError as error:  # Another slave took the file in the moment of its renewal.
+            on_trouble(str(error))
 
     try:
         save()
@@ -69,6 +80,32 @@ def keep_state(
         problem = f"{path}: cannot be written: {reason_unwritten(path, error)}"
         raise (OutputError(problem) if is_full else UsageError(problem)) from error
     device.behaviour.keep = keep
+
+
+_locked: dict[Path, int] = {}
+"""By path, the descriptor that holds the lock of each state file of this process."""
+
+
+def _lock(path: Path) -> None:
+    """Lock the state file until the process ends or locks it anew; there is no lock on Windows.
+
+    Raises UsageError if another process has locked it.
+    """
+    if sys.platform == "win32":
+        return
+    if path in _locked:
+        os.close(_locked.pop(path))
+    with suppress(OSError):  # Where it cannot be written, `save` tells why.
+        opened = os.open(path, os.O_RDWR)
+        try:
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(opened)
+            raise UsageError(
+                f"{path}: another slave keeps its state there; name another file, or end that one "
+                "first"
+            ) from None
+        _locked[path] = opened
 
 
 def _resolved(path: Path) -> Path:

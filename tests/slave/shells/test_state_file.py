@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -169,3 +171,23 @@ def test_a_link_to_a_state_stays_a_link(tmp_path: Path) -> None:
     _device(link).respond(0, SET_SPLIT, 0)
     assert link.is_symlink()
     assert "00F5H = 5\n" in state.read_text()
+
+
+def test_a_second_process_is_refused_a_state_that_a_slave_keeps(tmp_path: Path) -> None:
+    state = tmp_path / "state.toml"
+    _device(state)
+    before = state.read_bytes()
+    program = (
+        "import sys, pathlib; from tests.slave.shells.test_state_file import _device\n"
+        "try: _device(pathlib.Path(sys.argv[1]))\n"
+        "except Exception as error: print(type(error).__name__, error)"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", program, str(state)], capture_output=True, text=True, check=True
+    ).stdout
+    assert told == (
+        f"UsageError {state}: another slave keeps its state there; name another file, or end that "
+        "one first\n"
+    )
+    assert state.read_bytes() == before
+    assert _kept(_device(state)) == AT_FIRST  # The same process may.
