@@ -18,7 +18,7 @@ settings.register_profile(
     "new-examples", deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile(
-    "same-examples", settings.get_profile("new-examples"), derandomize=True, max_examples=50
+    "same-examples", settings.get_profile("new-examples"), derandomize=True, max_examples=25
 )
 settings.register_profile("quick", settings.get_profile("same-examples"), max_examples=10)
 settings.load_profile("same-examples")

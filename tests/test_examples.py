@@ -30,6 +30,7 @@ RUNS = {
         ("plant.parquet", str(ROOT / "captures/plant.pcap")), "63 transactions -> plant.parquet\n"
     ),
     "poll_a_recording.py": Run((LINE,), "[100, 200, 300, 400]\n"),
+    "who_asks_whom.py": Run((PACKETS,), '[label="'),
     "slowest_requests.py": Run((LINE,), " ms  unit 1  HR400001..400004\n"),
 }
 

@@ -93,8 +93,10 @@ def test_the_place_and_the_texts_of_a_mutation_are_told() -> None:
     assert str(one) == "mbtool/core/x.py:2: 'and' -> 'or' in: b = c and d  # why"
 
 
-def test_every_mutation_is_python_and_each_differs() -> None:
+def test_every_mutation_is_python_and_each_differs_and_a_seed_draws_the_same_again() -> None:
     mutations = all_mutations(["framing"])
+    assert drawn(mutations, "a", 20) == drawn(mutations, "a", 20) != drawn(mutations, "b", 20)
+    assert len(drawn(mutations, "a", 10**6)) == len(mutations)
     assert len(set(mutations)) == len(mutations) > 100
     for one in mutations:
         source = (ROOT / one.path).read_bytes()
@@ -104,12 +106,6 @@ def test_every_mutation_is_python_and_each_differs() -> None:
 
 def test_the_members_of_enums_are_found() -> None:
     assert enum_members(ROOT.glob("mbtool/core/*.py"))["Direction"] == ENUMS["Direction"]
-
-
-def test_a_seed_draws_the_same_mutations_again() -> None:
-    mutations = all_mutations(["framing"])
-    assert drawn(mutations, "a", 20) == drawn(mutations, "a", 20) != drawn(mutations, "b", 20)
-    assert len(drawn(mutations, "a", 10**6)) == len(mutations)
 
 
 def test_the_tests_of_a_module_come_before_those_of_its_room() -> None:

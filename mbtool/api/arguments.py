@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike, fspath
-from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
-from mbtool.devices import Assignment, Assignments, Profile, load_profile
+from mbtool.devices import Assignment, Assignments, NamedTransaction, Profile, load_profile
 from mbtool.devices.assignment import parse_who
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.devices import NamedTransaction
 
 AnyPath = str | PathLike[str]
 ProfileName = str | PathLike[str] | Profile

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from mbtool.api.arguments import assignments_of
+from mbtool.api.arguments import Devices, assignments_of
 from mbtool.core import (
     Chunk,
     Connection,
     Direction,
     Endpoint,
+    LineSettings,
     Quiet,
     SerialLink,
     Stamp,
@@ -17,15 +16,10 @@ from mbtool.core import (
     parse_line,
 )
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.decode.decoder import Decoder
+from mbtool.decode.decoder import Decoder, Record
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer
 from mbtool.packets import StreamOpened
-
-if TYPE_CHECKING:
-    from mbtool.api.arguments import Devices
-    from mbtool.core import LineSettings
-    from mbtool.decode.decoder import Record
 
 _STREAMS = {"tcp": False, "rtu+tcp": True}
 _LINE, _HOST = "line", "slave"

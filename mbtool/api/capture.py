@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.util import find_spec
 from itertools import islice
 from os import fspath
 from typing import TYPE_CHECKING, Any, Self
 
-from mbtool.api.arguments import AnyPath, assignments_of, condition_of
+from mbtool.api.arguments import AnyPath, Devices, assignments_of, condition_of
 from mbtool.api.point_rows import PointRow, point_rows
 from mbtool.core import (
     CutError,
@@ -24,12 +25,9 @@ from mbtool.workflows.shared.named_files import named_files
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     import pandas
     import polars
 
-    from mbtool.api.arguments import Devices
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from functools import partial
 from math import inf
 from os import fspath
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from mbtool.api.arguments import assignments_of, condition_of
+from mbtool.api.arguments import AnyPath, Devices, assignments_of, condition_of
 from mbtool.core import WireEvent, parse_link
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.link_spec import HEARD
-from mbtool.decode.decoder import Decoder
+from mbtool.decode.decoder import Decoder, Record
 from mbtool.decode.line_timing import LineTiming
-from mbtool.devices import Namer
+from mbtool.devices import NamedTransaction, Namer
 from mbtool.ports.clock import now_ns
 from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.workflows.sniff import Sniffer, serial_lines, with_settings
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-
-    from mbtool.api.arguments import AnyPath, Devices
-    from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
 
 
 class LiveCapture:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -16,27 +16,21 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
+from mbtool.core import LinkError, LinkSpec, SerialLink, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import clock_time
-from mbtool.devices import Span, find_span
-from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.devices import NamedTransaction, Profile, Span, find_span
+from mbtool.modbus import FUNCTIONS, Outcome, Responder
 from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
-from mbtool.slave.shells import TcpSlave, UdpSlave, slave_link
+from mbtool.slave.shells import Shell, TcpSlave, UdpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
 from mbtool.workflows.shared.faults import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mbtool.api.arguments import AnyPath
-    from mbtool.core import LinkSpec, SerialLink
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction, Profile
-    from mbtool.modbus import Responder
-    from mbtool.slave.shells import Shell
 
 MAX_KEPT = 100_000
 """At most this many requests are kept; a test that polls for an hour at 20 a second makes

@@ -8,18 +8,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.moments import utc_time
-from mbtool.devices import write_reference
+from mbtool.devices import NamedTransaction, Profile, write_reference
 from mbtool.modbus import FUNCTIONS, TABLE_FUNCTIONS
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from datetime import datetime
-
-    from mbtool.devices import NamedTransaction, Profile
 
 
 class PointRow(NamedTuple):

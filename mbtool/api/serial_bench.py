@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from mbtool.core import UsageError, parse_line
+from mbtool.core import LineSettings, UsageError, parse_line
 from mbtool.sources.virtual_line import VirtualLine
-
-if TYPE_CHECKING:
-    from mbtool.core import LineSettings
 
 
 class SerialBench:

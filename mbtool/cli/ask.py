@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
+from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument, print_asked
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import Format, TableOptionGroup
+from mbtool.cli.talk import say
+from mbtool.core import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.cli.ask_options import AskedSlave
     from mbtool.views.table_options import TableOptions
 
@@ -76,9 +77,6 @@ def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
 
     Raises typer.Exit if the answer is no, UsageError if there is no terminal to ask at.
     """
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
-
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError("write: nobody can be asked here, as there is no terminal; give --yes")
     say(f"write {'; '.join(values)} to unit {asked.unit} at {asked.link}")
@@ -99,7 +97,6 @@ def _ask_all(
     `requests` are PDUs. A request fails if it gets an exception response, a malformed response or
     none. If Ctrl-C comes before the first transaction, `if_interrupted` is printed.
     """
-    from mbtool.cli.ask_options import print_asked
     from mbtool.workflows.ask import ANSWERED_OUTCOMES
 
     with asked.open(format_, options, if_interrupted=if_interrupted) as (asker, out):

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
+from mbtool.cli.options import Format, condition
+from mbtool.cli.output_path import demand_new
+from mbtool.cli.talk import say
 from mbtool.cli.tls_options import TargetTlsOptions
+from mbtool.core import LinkSpec, SerialLink, TargetTls, UsageError, parse_link
 from mbtool.core.limits import RESPONSE_TIMEOUT_S
-from mbtool.core.moments import DAY_NS
+from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import DAY_NS, parse_duration
+from mbtool.core.numbers import UNITS, parse_number, parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.cli.options import Format
     from mbtool.cli.output import RecordOutput
-    from mbtool.core import LinkSpec, TargetTls
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.master.links import MasterLink
     from mbtool.views.table_options import TableOptions
@@ -76,8 +79,6 @@ def listen_ns(text: str | None) -> int | None:
     """Parse the value of --listen; None if it is not given. Raises UsageError if it is no time up
     to a day.
     """
-    from mbtool.core.moments import parse_duration
-
     return None if text is None else parse_duration(text, "--listen", 0, _MOST_LISTEN_NS)
 
 
@@ -92,7 +93,6 @@ def recorded(
     if record is None:
         yield
         return
-    from mbtool.core import SerialLink, UsageError
     from mbtool.devices import Assignments
     from mbtool.master.links import SerialMaster
     from mbtool.workflows.shared.asked_log import AskedLog
@@ -156,10 +156,6 @@ class AskOptions(TargetTlsOptions):
 
         Raises UsageError for a text that is not understood.
         """
-        from mbtool.cli.output_path import demand_new
-        from mbtool.core import parse_link
-        from mbtool.core.link_spec import ANSWERED
-        from mbtool.core.numbers import UNITS, parse_number, parse_unit
         from mbtool.workflows.ask import transport_of
         from mbtool.workflows.shared.questions import Wording
         from mbtool.workflows.shared.typed_references import typed_references
@@ -190,7 +186,6 @@ class AskOptions(TargetTlsOptions):
         )
 
     def _profile(self, unit: int) -> Profile | None:
-        from mbtool.core import UsageError
         from mbtool.devices import load_profile, parse_assignment
 
         if self.device is None:
@@ -238,9 +233,7 @@ class AskedSlave:
         comes before the first transaction, it prints `if_interrupted` instead. Raises LinkError if
         the slave cannot be reached, or if another master asks on the line.
         """
-        from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
-        from mbtool.cli.talk import say
         from mbtool.master.links import open_master
         from mbtool.workflows.ask import Asker
 

@@ -10,16 +10,29 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from mbtool.cli import exit_codes
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
-    DeviceOption,
+    CaptureOptions,
     EndOption,
     OverwriteOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
     StartOption,
 )
+from mbtool.cli.output_file import emptied, is_old
+from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import (
+    NOTHING_WRITTEN,
+    Interrupted,
+    interruptible,
+    say,
+    say_if_interrupted,
+)
+from mbtool.core import InputError
+from mbtool.core.moments import counted
+from mbtool.version import __version__
+from mbtool.workflows.shared.named_files import named_files
+from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,7 +63,7 @@ def check(
         list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
     ],
     *,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     select: Annotated[
         list[str] | None,
         typer.Option(
@@ -108,9 +121,6 @@ def check(
             "--all", help="In a table, a line for each finding, not for each code and place."
         ),
     ] = False,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
 ) -> None:
     """Find what is wrong, why, and what to do.
 
@@ -118,25 +128,12 @@ def check(
     1 means that something is wrong, 0 that nothing is. docs/troubles.md explains the codes of
     troubles, docs/findings.md those of broken rules.
     """
-    from mbtool.cli import exit_codes
     from mbtool.cli.output import as_output_error, opened, say_if_empty, verdict_kept
-    from mbtool.cli.output_file import is_old
-    from mbtool.cli.output_path import (
-        chosen_format,
-        demand_new,
-        demand_other_file,
-        named_file,
-    )
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, say, say_if_interrupted
-    from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
-    from mbtool.workflows.shared.named_files import named_files
-    from mbtool.workflows.shared.time_window import TimeWindow
 
     files, baseline = named_files(files), named_files(baseline or ())
-    options = source.read(device, raw=raw, silences=silences)
+    options = capture.read()
     codes = CodeFilter.parse(select or (), ignore or ())
     window = TimeWindow.parse(start, end)
     run = CheckRun(files, options, codes, SecurityLimits.parse(limit or ()), window)
@@ -198,10 +195,6 @@ def _finished(
     `path` is the output file, None for standard output. If Ctrl-C or an InputError ends the
     context, nothing is left in the file; with `stays`, an older file at `path` stays as it was.
     """
-    from mbtool.cli.output_file import emptied
-    from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
-    from mbtool.core import InputError
-
     stays_text = f"{path} stays as it was"
     try:
         yield printer
@@ -325,7 +318,6 @@ class _JUnitPrinter(_Printer):
 class _DocumentPrinter(_Printer):
     def __init__(self, file: TextIO, format_: CheckFormat, files: list[str]) -> None:
         from mbtool.sources.files import shown_name
-        from mbtool.version import __version__
         from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
 
         self._file = file
@@ -340,27 +332,20 @@ class _DocumentPrinter(_Printer):
         self._file.write(self._document.add(found.finding, found.file))
 
     def end(self, run: CheckRun, why_partial: str | None) -> None:
+        from mbtool.views.findings_document import Checked
+
         remarks = [*run.remarks, *([] if why_partial is None else [why_partial])]
-        self._file.write(
-            self._document.end(
-                run.transactions,
-                run.failed_requests(),
-                judgement=run.judgement(),
-                remarks=remarks,
-                is_whole=why_partial is None,
-            )
-        )
+        is_whole = why_partial is None
+        counts = run.transactions, run.failed_requests()
+        self._file.write(self._document.end(Checked(*counts, run.judgement(), remarks, is_whole)))
 
 
 def _sum_up(run: CheckRun, path: str | None) -> None:
-    from mbtool.cli.talk import say
-
     say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 
 def _sentence(run: CheckRun) -> str:
     """Sum up a run: `14 findings of 3 codes in 8,120 transactions; docs/findings.md ...`."""
-    from mbtool.core.moments import counted
     from mbtool.troubles.words import WORDS
 
     judgement = run.judgement()

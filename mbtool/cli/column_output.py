@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,6 @@ from mbtool.cli.progress import with_progress
 from mbtool.core import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.printers import TablePrinter
     from mbtool.cli.talk import Interrupt

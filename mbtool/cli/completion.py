@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from glob import escape, iglob
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from typing import Any
 
 COMPLETE = "_MBTOOL_COMPLETE"
 """The shell sets this environment variable when it asks for completions."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,16 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.ask_options import ListenOption, TimeoutOption, listen_ns
 from mbtool.cli.options import ListFormat
+from mbtool.cli.output_file import demand_writable
+from mbtool.cli.output_path import demand_new
+from mbtool.cli.talk import interruptible, say
+from mbtool.core import SerialLink, UsageError, parse_link
 from mbtool.core.limits import RESPONSE_TIMEOUT_S
+from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import counted
+from mbtool.core.numbers import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.workflows.conformance import CaseResult, TestReport
 
 _MOST_SHOWN = 32
@@ -79,13 +85,6 @@ def test(
     functions, wrong checks, torn frames, wrong headers. Writes nothing without --writes. Exit 1 if
     a case fails.
     """
-    from mbtool.cli.output_file import demand_writable
-    from mbtool.cli.output_path import demand_new
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import SerialLink, UsageError, parse_link
-    from mbtool.core.link_spec import ANSWERED
-    from mbtool.core.moments import counted
-    from mbtool.core.numbers import parse_unit
     from mbtool.devices import load_profile, parse_span
     from mbtool.master.wire import open_wire
     from mbtool.workflows.ask import transport_of

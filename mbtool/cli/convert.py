@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,7 +19,16 @@ from mbtool.cli.options import (
     StartOption,
     TopicPerPointOption,
     WhereOption,
+    condition,
 )
+from mbtool.cli.output_file import report_kept, report_left
+from mbtool.cli.output_path import demand_other_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say
+from mbtool.core import UsageError
+from mbtool.core.moments import counted
+from mbtool.workflows.shared.named_files import named_files
+from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
     from mbtool.workflows.convert import Conversion
@@ -83,15 +93,8 @@ def convert(
     that Wireshark shows as Modbus without any setting; converted back, they are the same bytes.
     """
     import re
-    from pathlib import PurePath
 
-    from mbtool.cli.options import condition
-    from mbtool.cli.output_path import demand_other_file
-    from mbtool.cli.progress import with_progress
-    from mbtool.core import UsageError
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, DEVICE, Conversion
-    from mbtool.workflows.shared.named_files import named_files
-    from mbtool.workflows.shared.time_window import TimeWindow
 
     if len(files) < 2:
         raise UsageError("name what to read, then the file to write: convert A.mcap B.pcapng")
@@ -138,11 +141,6 @@ def _convert(
     overwrite: bool,
     topic_per_point: bool,
 ) -> None:
-    from pathlib import PurePath
-
-    from mbtool.cli.output_file import report_kept, report_left
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, DEVICE
 
     if DEVICE in out:
@@ -164,8 +162,6 @@ def _convert(
 
 def _write_each(conversion: Conversion, out: str, *, overwrite: bool) -> None:
     """Write a file for each slave."""
-    from mbtool.cli.talk import say
-
     files = 0
     for path, done in conversion.write_each(out, overwrite=overwrite):
         _say_written(done, path)
@@ -176,9 +172,6 @@ def _write_each(conversion: Conversion, out: str, *, overwrite: bool) -> None:
 
 def _say_written(done: Converted, out: str) -> None:
     """Print what was written to the file `out`."""
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
-
     parts = (
         (done.packets, "packet"),
         (done.reads, "read"),

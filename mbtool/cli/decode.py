@@ -6,6 +6,7 @@ import os
 import re
 import stat
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -13,39 +14,39 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.column_output import cores
+from mbtool.cli.column_output import cores, print_columns, processes_for
 from mbtool.cli.option_groups import OptionGroup, with_option_groups
 from mbtool.cli.options import (
     FORMATS,
-    DeviceOption,
+    CaptureOptions,
     EndOption,
     EventChoice,
     EventsOption,
     Format,
     JobsOption,
     OverwriteOption,
-    RawOption,
     SilenceOptions,
     SortKey,
-    SourceOptions,
     StartOption,
     TableOptionGroup,
     TypesOption,
     WhereOption,
+    condition,
 )
-from mbtool.cli.progress import Files, with_progress
-from mbtool.cli.talk import say, say_if_interrupted
-from mbtool.core import InputError, UsageError
+from mbtool.cli.output_path import demand_other_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import interruptible, say, say_if_interrupted
+from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.core.moments import counted
+from mbtool.workflows.shared.named_files import named_files
+from mbtool.workflows.shared.read_all import CountedWork
+from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
-    from mbtool.workflows.shared.time_window import TimeWindow
 
 # mbtool decode of many captures into a folder or an object store: a Parquet file for each.
 
@@ -144,7 +145,7 @@ def run_job(
     with say_if_interrupted(kept):
         outcomes = job.run(executor)
         first = next(outcomes, None)  # Then the number of files is known.
-        left = Files(job.files - job.done_before)
+        left = CountedWork(job.files - job.done_before)
         every = chain([] if first is None else [first], outcomes)
         for outcome in with_progress(left, left.counted(every)):
             decoded += 1
@@ -206,7 +207,7 @@ def decode(
         ),
     ],
     *,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     types: TypesOption = None,
     where: WhereOption = None,
     format_: Annotated[
@@ -243,7 +244,6 @@ def decode(
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
-    raw: RawOption = False,
     sunspec: Annotated[
         str | None,
         typer.Option(
@@ -253,8 +253,6 @@ def decode(
             "json of github.com/sunspec/models. Files are read twice.",
         ),
     ] = None,
-    source: SourceOptions,
-    silences: SilenceOptions,
     events: EventsOption = None,
     table: TableOptionGroup,
     sort: Annotated[
@@ -269,19 +267,13 @@ def decode(
     group: JobOptionGroup,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
-    from mbtool.cli.column_output import print_columns, processes_for
-    from mbtool.cli.options import condition
     from mbtool.cli.output import open_output, say_if_empty
-    from mbtool.cli.output_path import demand_other_file
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.named_files import named_files
-    from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
-    if follow and (raw or source.link is not None or sunspec is not None or len(files) > 1):
+    link = capture.source.link
+    if follow and (capture.raw or link is not None or sunspec is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
     if follow and sort is not None:
         raise UsageError("--follow prints each row as it comes; --sort needs all of them first")
@@ -289,13 +281,14 @@ def decode(
         files = named_files(files)
     else:
         refuse_others({
-            "--device": device, "--types": types, "--where": where, "--start": start, "--end": end,
-            "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
+            "--device": capture.device, "--types": types, "--where": where, "--start": start,
+            "--end": end, "--limit": limit, "--follow": follow, "--raw": capture.raw,
+            "--link": link,
             "--sunspec": sunspec, "--events": events, "--sort": sort, "--points": points,
-            "--t1-5, --t3-5, --response-timeout": silences != SilenceOptions(),
+            "--t1-5, --t3-5, --response-timeout": capture.silences != SilenceOptions(),
             "options of the table": table != TableOptionGroup(),
         })  # fmt: skip
-        read = source.read()
+        read = capture.source.read()
         run_job(files, output, format_, read, group, jobs, overwrite=overwrite)
         return
     for path in (output, points):
@@ -303,7 +296,7 @@ def decode(
     window = TimeWindow.parse(start, end)
     fits = condition(where)
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
-    options = source.read(device, raw=raw, silences=silences, types=types)
+    options = capture.read(types)
     if sunspec is not None:
         from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
 
@@ -433,8 +426,6 @@ def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> It
     They come from the reading, from `hints` about device models, and from `window`, if no
     transaction lies between --start and --end.
     """
-    from mbtool.cli.talk import say
-
     try:
         yield
     finally:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.options import EventChoice, Format
 from mbtool.cli.talk import say
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def demo(
@@ -28,11 +29,8 @@ def demo(
     An FT1A Touch on a virtual RS-485 line at 19200 baud and an FA3-AT1M8X on loopback TCP answer
     two masters, while mbtool sniffs both into one log; then the log answers in the devices' place.
     """
-    from pathlib import Path
     from tempfile import TemporaryDirectory
 
-    from mbtool.cli import exit_codes
-    from mbtool.cli.options import EventChoice, Format
     from mbtool.cli.output import open_output
     from mbtool.logs.opening import check_log_path
     from mbtool.workflows.demo import Demo

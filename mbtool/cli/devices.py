@@ -7,16 +7,16 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
 
 from mbtool.cli.command import Command, with_plain_json, write_examples
 from mbtool.cli.completion import items, profile_names
-from mbtool.cli.devices_own import draft, export, new, schema
+from mbtool.cli.devices_own import draft, export, new, schema, survey
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import ListFormat, OverwriteOption, SourceOptions
 from mbtool.cli.profile_files import (
@@ -27,10 +27,10 @@ from mbtool.cli.profile_files import (
     read_input,
     shown,
 )
+from mbtool.cli.talk import say
+from mbtool.core import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.importing.options import ImportOptions
     from mbtool.devices.importing.register_list import ImportedList
     from mbtool.workflows.shared.reading import ReadingOptions
@@ -39,36 +39,12 @@ if TYPE_CHECKING:
 # mbtool devices import: make a profile from a register list or another register map.
 
 
-class AddressesChoice(StrEnum):
-    """The form of the addresses in a register list: from 0, from 1, references or hexadecimal."""
-
-    ZERO_BASED = "zero-based"
-    ONE_BASED = "one-based"
-    REFERENCES = "references"
-    HEXADECIMAL = "hexadecimal"
-
-
-class ScalingChoice(StrEnum):
-    """The use of the factors in a register list: registers are multiplied or divided by them."""
-
-    MULTIPLY = "multiply"
-    DIVIDE = "divide"
-
-
-class WordOrderChoice(StrEnum):
-    """The word that comes first in a value of several registers: the high or the low one."""
-
-    HIGH_FIRST = "high-first"
-    LOW_FIRST = "low-first"
-
-
-class TableChoice(StrEnum):
-    """The tables of Modbus, each by the first word of its name."""
-
-    COILS = "coils"
-    DISCRETE = "discrete"
-    HOLDING = "holding"
-    INPUT = "input"
+# The values of AddressStyle, Scaling and WordOrder in devices/, and the first words of the tables.
+# They are repeated here because importing devices/ would make --help slow.
+AddressesChoice = Literal["zero-based", "one-based", "references", "hexadecimal"]
+ScalingChoice = Literal["multiply", "divide"]
+WordOrderChoice = Literal["high-first", "low-first"]
+TableChoice = Literal["coils", "discrete", "holding", "input"]
 
 
 def import_(
@@ -153,7 +129,6 @@ def import_(
     What you name is not guessed; each guess is told in a line. If rows of a list cannot be read,
     each is told and no profile is made, unless you say --skip-bad.
     """
-    from mbtool.core import UsageError
     from mbtool.devices.importing.options import (
         AddressStyle,
         ImportOptions,
@@ -197,7 +172,6 @@ def import_(
 
 
 def _imported(file: str, output: str | None, options: ImportOptions) -> ImportedList:
-    from mbtool.cli.talk import say
     from mbtool.devices.importing.register_list import BadRowsError, import_register_list
 
     try:
@@ -227,8 +201,6 @@ def _try_all(folder: str, output: str | None) -> None:
     No profile is written. Raises UsageError if --output is given (`output` not None), and if a
     model cannot be imported.
     """
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
     from mbtool.workflows.shared.sunspec_devices import SunSpecFolder
 
     if output is not None:
@@ -312,8 +284,6 @@ def _devices(
     ] = "table",
     source: SourceOptions,
 ) -> None:
-    from mbtool.core import UsageError
-
     if matched is None:
         if source != SourceOptions():
             raise UsageError("--port, --rtu-port and --link go with --match FILE")
@@ -346,7 +316,6 @@ def _show(
 
 def _show_one(names: Sequence[str], format_: ListFormat) -> None:
     from mbtool.cli.console import PipeConsole
-    from mbtool.core import UsageError
     from mbtool.devices import load_profile, profile_to_json
     from mbtool.views.profile import profile_page
 
@@ -378,8 +347,6 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Li
     import json
 
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.devices_own import survey
-    from mbtool.cli.talk import say
     from mbtool.devices import builtin_profiles, load_profile
     from mbtool.devices.profile_match import match_profiles
     from mbtool.views.matches import match_record, print_match_results

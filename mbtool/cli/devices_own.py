@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,11 +19,12 @@ from mbtool.cli.profile_files import (
     shown,
     write,
 )
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import interruptible, say, say_if_interrupted
+from mbtool.core import CutError, DamageError, InputError, UsageError
+from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mbtool.core import InputError
     from mbtool.decode.decoder import Record
     from mbtool.devices import Who
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
@@ -37,8 +39,6 @@ def new(
     ] = False,
 ) -> None:
     """Write a commented start of a profile, to be edited."""
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
     from mbtool.devices.profile_template import name_for, starting_profile
 
     if not is_file(file):
@@ -80,8 +80,6 @@ def draft(
     Areas, functions and exceptions are those seen. Types of registers are guessed from their
     values; each guess has its reason above it.
     """
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
     from mbtool.devices import parse_who
     from mbtool.devices.profile_template import name_for
     from mbtool.values.draft import draft_profile
@@ -169,8 +167,6 @@ def export(
 
     As TOML it has all that it extends. What another form cannot say is told, a line for each kind.
     """
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
     from mbtool.devices import load_profile
     from mbtool.workflows.export_profile import ExportForm, exported
 
@@ -227,9 +223,6 @@ def _survey(
     Returns the error if the file is cut or damaged, else None. Raises InputError if nothing in the
     file could be decoded.
     """
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, say, say_if_interrupted
-    from mbtool.core import CutError, DamageError
     from mbtool.workflows.shared.reading import Reading
 
     reading = Reading([file], options)

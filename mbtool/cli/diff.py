@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mbtool.cli import exit_codes
 from mbtool.cli.option_groups import with_option_groups
-from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption
+from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption, condition
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say, say_if_interrupted
 
 if TYPE_CHECKING:
     from mbtool.workflows.diff import Comparison
@@ -55,12 +58,8 @@ def diff(
     """
     import msgspec
 
-    from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.options import condition
     from mbtool.cli.output import verdict_kept
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say, say_if_interrupted
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
 

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.talk import say
+from mbtool.core.moments import counted
+from mbtool.version import __version__
 
 
 def doctor(
@@ -20,15 +26,10 @@ def doctor(
     """
     import shutil
     import sys
-    from dataclasses import asdict
 
-    from mbtool.cli import exit_codes
     from mbtool.cli.console import PipeConsole
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
     from mbtool.ports.local_ports import local_ports
     from mbtool.sources.interface import capture_trouble
-    from mbtool.version import __version__
     from mbtool.views.machine_checks import print_machine_checks
     from mbtool.workflows.doctor import CheckState, Screen, machine_checks
 

@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli import exit_codes
+from mbtool.cli.listening import sniffer_of
 from mbtool.cli.option_groups import OptionGroup, with_option_groups
+from mbtool.cli.options import TcpPorts, assignments
+from mbtool.cli.talk import Interrupted, interruptible, say
+from mbtool.core import LinkSpec, OutputError, SerialLink, UsageError, parse_link
+from mbtool.core.errors import reason_of
+from mbtool.core.link_spec import HEARD
+from mbtool.version import __version__
 
 if TYPE_CHECKING:
-    from mbtool.core import LinkSpec
     from mbtool.devices import Assignments
 
 _ASKED_BY = "Asked by Wireshark"
@@ -77,9 +83,6 @@ class LineOptions(OptionGroup):
 
         Raises UsageError if no port is named or the settings are wrong.
         """
-        from mbtool.core import UsageError, parse_link
-        from mbtool.core.link_spec import HEARD
-
         port = next((one for one in (self.path, self.port) if one and one != NONE), None)
         if port is None:
             raise UsageError("no serial port is chosen; choose one in the dialog of the interface")
@@ -90,8 +93,6 @@ class LineOptions(OptionGroup):
 
     def assignments(self) -> Assignments:
         """Return the profiles of the slaves. Raises an error if a text names no profile."""
-        from mbtool.cli.options import assignments
-
         texts = [one.strip() for one in (self.devices or "").split(",") if one.strip()]
         if self.device not in (None, "", NONE):
             texts.append(f"all={self.device}")
@@ -114,12 +115,9 @@ def extcap(
     format, mode and device. Frames are shown as by mbtool convert: docs/wireshark.md. All other
     options are those that Wireshark gives.
     """
-    from mbtool.core import UsageError
-
     if install or uninstall:
         _install(is_wanted=install)
     elif asked.extcap_interfaces:
-        from mbtool.version import __version__
         from mbtool.views.extcap_dialog import interfaces_text
 
         sys.stdout.write(interfaces_text(__version__))
@@ -138,7 +136,6 @@ def extcap(
 
 
 def _install(*, is_wanted: bool) -> None:
-    from mbtool.cli.talk import say
     from mbtool.workflows.extcap_install import install, scripts, uninstall
 
     paths = scripts(os.environ)
@@ -169,11 +166,6 @@ def _capture(fifo: str, options: LineOptions) -> None:
 
     Raises LinkError if the port cannot be opened.
     """
-    from mbtool.cli.listening import sniffer_of
-    from mbtool.cli.options import TcpPorts
-    from mbtool.cli.talk import Interrupted, interruptible, say
-    from mbtool.core import OutputError, SerialLink, UsageError
-    from mbtool.core.errors import reason_of
     from mbtool.decode.line_timing import LineTiming
     from mbtool.ports.tcp_listener import THIS_MACHINE
     from mbtool.workflows.extcap import LivePackets

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, sniffer_of
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import RawOption, SilenceOptions, SourceOptions
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say, say_if_interrupted
+from mbtool.core import InputError, UsageError, parse_link
+from mbtool.core.link_spec import HEARD
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import Who
     from mbtool.values.sightings import Seen
 
@@ -81,7 +87,6 @@ def find(
     register with a likelihood of 50 % or more.
     """
     from mbtool.cli.stats import is_link
-    from mbtool.core import UsageError
     from mbtool.devices import parse_who
     from mbtool.values.sightings import parse_seen, parse_table
 
@@ -124,10 +129,6 @@ def _sources_and_numbers(arguments: Sequence[str]) -> tuple[list[str], list[str]
 
 
 def _read_text(path: str) -> str:
-    from pathlib import Path
-
-    from mbtool.core import InputError
-
     try:
         return Path(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
@@ -149,12 +150,8 @@ def _find_in_files(
 ) -> None:
     import json
 
-    from mbtool.cli import exit_codes
     from mbtool.cli.found_output import keep_places, print_changes, print_places
     from mbtool.cli.output import say_if_empty
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say, say_if_interrupted
-    from mbtool.core import UsageError
     from mbtool.values.finding import LIKELY
     from mbtool.values.sightings import parse_time
     from mbtool.views.found_places import changed_document, found_document
@@ -214,10 +211,6 @@ def find_live(
     An empty line ends it. Raises LinkError if a link cannot be opened.
     """
     from mbtool.cli.found_output import keep_places, print_places
-    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, sniffer_of
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError, parse_link
-    from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Assignments
     from mbtool.values.finding import LIKELY
@@ -261,6 +254,4 @@ def find_live(
     if keep is not None:
         keep_places(live.finder, live.wanted, found, keep, ", ".join(sources))
     if not all(places and places[0].likelihood >= LIKELY for places in found):
-        from mbtool.cli import exit_codes
-
         raise typer.Exit(exit_codes.NO)

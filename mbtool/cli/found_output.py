@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from mbtool.cli.console import PipeConsole
+from mbtool.cli.profile_files import write
+from mbtool.cli.talk import say
+from mbtool.core import UsageError
+from mbtool.core.moments import counted
+from mbtool.devices import load_profile
+from mbtool.devices.loading import profile_from_toml
+from mbtool.devices.profile_template import name_for
+from mbtool.values.draft import draft_profile
+from mbtool.values.finding import LIKELY, ChangedPlace, FoundPlace, Wanted
+from mbtool.values.keeping import point_of, with_points
+from mbtool.views.found_places import LEAST_SHOWN, changes_table, places_table, wanted_title
+from mbtool.views.tables import printable
 
-    from mbtool.values.finding import ChangedPlace, FoundPlace, Wanted
+if TYPE_CHECKING:
     from mbtool.workflows.find import Finder
 
 
@@ -18,10 +31,6 @@ def print_places(
     finder: Finder, wanted: Sequence[Wanted], found: Sequence[Sequence[FoundPlace]], top: int
 ) -> None:
     """Print the places of each number."""
-    from mbtool.cli.console import PipeConsole
-    from mbtool.views.found_places import LEAST_SHOWN, places_table, wanted_title
-    from mbtool.views.tables import printable
-
     console = PipeConsole(highlight=False)
     several = len(finder.slaves.slaves) > 1
     for number, (one, places) in enumerate(zip(wanted, found, strict=True)):
@@ -37,9 +46,6 @@ def print_places(
 
 def print_changes(finder: Finder, changes: Sequence[ChangedPlace]) -> None:
     """Print the values that may be the changed setting."""
-    from mbtool.cli.console import PipeConsole
-    from mbtool.views.found_places import changes_table
-
     if not changes:
         typer.echo("no value is another one after it than before")
         return
@@ -55,19 +61,6 @@ def keep_places(
     file: str,
 ) -> None:
     """Write the most likely place of each number as a point of a profile, if it is likely."""
-    from pathlib import Path
-
-    from mbtool.cli.profile_files import write
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
-    from mbtool.core.moments import counted
-    from mbtool.devices import load_profile
-    from mbtool.devices.loading import profile_from_toml
-    from mbtool.devices.profile_template import name_for
-    from mbtool.values.draft import draft_profile
-    from mbtool.values.finding import LIKELY
-    from mbtool.values.keeping import point_of, with_points
-
     best = [(one, places[0]) for one, places in zip(wanted, found, strict=True) if places]
     for one, place in best:
         if place.likelihood < LIKELY:

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from mbtool.cli import exit_codes
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
-    DeviceOption,
+    CaptureOptions,
     OverwriteOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
     WhereOption,
+    condition,
 )
+from mbtool.cli.output_file import report_kept, report_left
+from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say
+from mbtool.core.moments import counted
+from mbtool.version import __version__
+from mbtool.workflows.shared.named_files import named_files
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.ledger.baseline import InventoryChange
     from mbtool.ledger.inventory_rows import InventoryDocument
     from mbtool.workflows.inventory import InventoryRun
@@ -31,15 +36,12 @@ class InventoryFormat(StrEnum):
     TABLE = "table"
     JSON = "json"
     CSV = "csv"
-    DOT = "dot"
 
 
 _SUFFIXES = {
     ".txt": InventoryFormat.TABLE,
     ".json": InventoryFormat.JSON,
     ".csv": InventoryFormat.CSV,
-    ".dot": InventoryFormat.DOT,
-    ".gv": InventoryFormat.DOT,
 }
 
 
@@ -49,7 +51,7 @@ def inventory(
         list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
     ],
     *,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     where: WhereOption = None,
     baseline: Annotated[
         list[str] | None,
@@ -64,15 +66,12 @@ def inventory(
         InventoryFormat | None,
         typer.Option(
             "--format",
-            help="How to print: dot is for Graphviz. "
-            "[default: table, or what the name of --output says]",
+            help="How to print. [default: table, or what the name of --output says]",
         ),
     ] = None,
     output: Annotated[
         str | None,
-        typer.Option(
-            "--output", "-o", metavar="OUT", help="Write to a file: .txt, .json, .csv or .dot."
-        ),
+        typer.Option("--output", "-o", metavar="OUT", help="Write to a file: .txt, .json or .csv."),
     ] = None,
     overwrite: OverwriteOption = False,
     each: Annotated[
@@ -81,37 +80,23 @@ def inventory(
             "--all", help="In a table, a row for units that never answered, and all ranges."
         ),
     ] = False,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
 ) -> None:
     """List hosts and units of captures, and who asks them what.
 
     A profile is named only where enough was seen to be sure. docs/inventory.md explains the
     columns.
     """
-    from mbtool.cli import exit_codes
-    from mbtool.cli.options import condition
     from mbtool.cli.output import as_output_error, opened, say_if_empty, say_troubles
-    from mbtool.cli.output_file import report_kept, report_left
-    from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
-    from mbtool.version import __version__
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
-    from mbtool.workflows.shared.named_files import named_files
 
     files, baseline = named_files(files), named_files(baseline or ())
     options = InventoryOptions(
-        reading=source.read(device, raw=raw, silences=silences),
+        reading=capture.read(),
         wanted=None if where is None else condition(where),
     )
     demand_other_file([*files, *baseline], output)
     path = named_file(output)
     chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
-    if baseline and chosen is InventoryFormat.DOT:
-        raise UsageError("--baseline goes with --format table, json and csv")
     with report_left(path):
         run = InventoryRun(files, options)
         # The output is opened only after all inputs were read, so that an error does not overwrite
@@ -176,7 +161,6 @@ def _write(
     """
     from mbtool.cli.console import PipeConsole
     from mbtool.views.inventory_documents import changes_csv, inventory_csv
-    from mbtool.views.inventory_graph import inventory_dot
     from mbtool.views.inventory_table import print_changes, print_inventory
 
     match format_:
@@ -186,8 +170,6 @@ def _write(
             print_inventory(PipeConsole(file=file), document, everything=everything)
         case InventoryFormat.CSV:
             file.write(inventory_csv(document) if new is None else changes_csv(new))
-        case InventoryFormat.DOT:
-            file.write(inventory_dot(document))
 
 
 def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None) -> str:
@@ -195,7 +177,6 @@ def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None
 
     `new` are the changes since the baseline, which are counted first; None without a baseline.
     """
-    from mbtool.core.moments import counted
     from mbtool.ledger.inventory_rows import Role
 
     quiet = sum(row.role in (Role.SILENT, Role.UNHEARD) for row in document.slaves)

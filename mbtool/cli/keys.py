@@ -15,17 +15,12 @@ import select
 import shutil
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TextIO
 
 from mbtool.cli.talk import interruptible, redrawn_line
-from mbtool.replay.steering import Control
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from typing import TextIO
-
-    from mbtool.replay.steering import Progress
+from mbtool.replay.steering import Control, Progress
 
 KEYS = ("space pauses, s steps, + and - change the speed, q ends", "keys: space s + - q")
 """Two texts that name the keys and their effect. The progress line uses the second, shorter one if
@@ -179,13 +174,14 @@ def _progress_text(progress: Progress) -> str:
         state = "paused" if progress.is_paused else "playing"
         return f"{state}, as fast as can be; {progress.done}"
     state = "paused " if progress.is_paused else "waiting" if progress.is_waiting else "playing"
-    place = f"{_clock(progress.position_ns)} of {_clock(progress.length_ns)}"
+    place = f"{clock_text(progress.position_ns)} of {clock_text(progress.length_ns)}"
     lap = f", round {progress.lap + 1}" if progress.lap else ""
     speed = f"x{float(progress.rate):.3g}"
     return f"{state}  {place}{lap}  {speed}  {progress.done}"
 
 
-def _clock(time_ns: int) -> str:
+def clock_text(time_ns: int) -> str:
+    """Write a time in a recording: `3:07.4`, `1:03:07.4`."""
     minutes, tenths = divmod(time_ns // 100_000_000, 600)
     hours, minutes = divmod(minutes, 60)
     seconds = f"{tenths // 10:02}.{tenths % 10}"

@@ -7,6 +7,10 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.talk import interruptible, say
+from mbtool.core import SerialFormat
+
 
 def line(
     ends: Annotated[
@@ -31,9 +35,6 @@ def line(
     What one end sends, every other end hears, as slowly as on RS-485. For trying things without
     hardware: a slave on one end, a master on another, a sniffer on a third.
     """
-    from mbtool.cli import exit_codes
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import SerialFormat
     from mbtool.sources.virtual_line import VirtualLine
 
     names = [str(path) for path in ends or ()]

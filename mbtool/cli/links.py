@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from mbtool.cli.options import ListFormat
+from mbtool.cli.talk import say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort
 
 
@@ -25,7 +25,6 @@ def links(
     For each the LINK to give, what would spoil its timing, who holds it, what is not permitted, and
     the command against it. Nothing is opened, and nothing is changed.
     """
-    from mbtool.cli.talk import say
     from mbtool.ports.local_ports import local_ports
     from mbtool.sources.local_interfaces import local_interfaces
 

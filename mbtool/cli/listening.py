@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+from mbtool.cli.talk import say, shown_progress
+from mbtool.core import AutoLink, InterfaceLink, LinkSpec, TapLink, UsageError
+from mbtool.core.limits import MODBUS_PORT
+from mbtool.core.moments import SECOND_NS, parse_duration
 
+if TYPE_CHECKING:
     from mbtool.cli.connection_options import ConnectionOptions
     from mbtool.cli.options import PortOptions, TcpPorts
-    from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
     from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.recorder import Log
@@ -28,10 +31,6 @@ def chosen_tcp_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPort
     If --port is given but no link is an interface (net:), print that it has no effect. Raises
     UsageError for a text that is no port, and for a port that both options name.
     """
-    from mbtool.cli.talk import say
-    from mbtool.core import InterfaceLink
-    from mbtool.core.limits import MODBUS_PORT
-
     given = options.tcp_ports()
     if (
         options.port
@@ -48,9 +47,6 @@ def found_settings(links: Sequence[LinkSpec], wait: str | None) -> list[LinkSpec
     `wait` is the text of --wait, the longest time to listen. Raises UsageError if it is no time, or
     if no link has @auto; LinkError if no settings are found.
     """
-    from mbtool.cli.talk import say, shown_progress
-    from mbtool.core import AutoLink, UsageError
-    from mbtool.core.moments import SECOND_NS, parse_duration
     from mbtool.workflows.sniff import with_settings
 
     most_ns = _MOST_WAIT_S * SECOND_NS
@@ -76,7 +72,6 @@ def allowed_networks(
     there is a server of metrics. Raises UsageError for a text that is no network, and if networks
     are given without a tap or server, or limits without a tap.
     """
-    from mbtool.core import TapLink, UsageError
     from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
     if networks and not serves and not any(isinstance(one, TapLink) for one in links):
@@ -96,8 +91,6 @@ def read_only_taps(links: Sequence[LinkSpec], ports: TcpPorts) -> list[LinkSpec]
     A tap whose target has one of the RTU ports carries RTU over TCP, else Modbus/TCP. Raises
     UsageError if no link is a tap.
     """
-    from mbtool.core import TapLink, UsageError
-
     if not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--read-only is for taps, and there is none; write tap:LISTEN=TARGET")
     return [
@@ -124,7 +117,6 @@ def sniffer_of(
     problem, such as a lost link; with None it is printed. With `reconnects`, the sniffer opens a
     lost link again.
     """
-    from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder
     from mbtool.devices import Namer
     from mbtool.workflows.sniff import Sniffer, serial_lines

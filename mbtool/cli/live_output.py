@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.output import RecordOutput, as_output_error
@@ -17,8 +18,6 @@ from mbtool.core import OutputError
 from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.cli.options import EventChoice, SortKey
     from mbtool.cli.printers import Printer
     from mbtool.decode.decoder import Record

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,14 +12,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
-from mbtool.cli.options import TopicPerPointOption
+from mbtool.cli.options import TcpPorts, TopicPerPointOption
+from mbtool.cli.talk import say
+from mbtool.core import LinkSpec, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.cli.options import TcpPorts
     from mbtool.cli.service import ServiceRun
-    from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
     from mbtool.logs.rotation import RotatingLog
     from mbtool.logs.writer import LogWriter
@@ -86,8 +85,6 @@ class LogOptions(OptionGroup):
 
     def check(self) -> None:
         """Raise UsageError if an option is without another one that it needs."""
-        from mbtool.core import UsageError
-
         if self.write is None:
             for is_given, why in (
                 (self.rotate, "--rotate needs a log to rotate: name one with -w FILE.mcap"),
@@ -136,7 +133,6 @@ class LogOptions(OptionGroup):
 
         `told` keeps the files of the log from around a trouble, `run` writes heartbeats into it.
         """
-        from mbtool.cli.talk import say
         from mbtool.logs import Rotation
         from mbtool.logs.opening import create_log, with_point_topics
         from mbtool.workflows.shared.checked_log import begin_checked

@@ -1,8 +1,8 @@
 """The entry of the command line: mbtool COMMAND."""
 
-# Each command has a file of its own, named below. It imports other modules only when
-# it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
-# exit code.
+# Each command has a file of its own, named below. It imports modules that are slow to load only
+# when it runs, calls a workflow and prints the result. Only this file turns errors into a line and
+# an exit code.
 #
 # Python's collector of cyclic garbage runs less often than usual: a decoder makes many objects, and
 # few cycles among them. stats of a large file then takes 7 % less time.
@@ -18,7 +18,7 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
 from importlib.machinery import SourceFileLoader
@@ -26,7 +26,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from threading import Timer
 from types import CodeType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -39,9 +39,6 @@ from mbtool.cli.examples import examples_of, first_steps
 from mbtool.cli.talk import Interrupted, say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError, UsageError
 from mbtool.version import __version__
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
 """The errno values with which the system refuses to write to a file that is already open."""

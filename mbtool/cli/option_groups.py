@@ -2,20 +2,18 @@
 
 # typer makes an option from each parameter of a function. A parameter whose type is a subclass of
 # OptionGroup stands for all fields of that class: each field becomes an option, and the command
-# gets one object with their values.
+# gets one object with their values. A field may be a group itself.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 from typer.models import OptionInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +34,7 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     parameters: list[Parameter] = []
     for parameter in signature(command).parameters.values():
         type_ = types[parameter.name]
-        if isinstance(type_, type) and issubclass(type_, OptionGroup):
+        if _is_group(type_):
             groups[parameter.name] = type_
             parameters += _parameters_of(type_)
         else:
@@ -44,10 +42,7 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def ungrouped(**values: Any) -> None:
-        objects = {
-            name: group(**{field.name: values.pop(field.name) for field in fields(group)})
-            for name, group in groups.items()
-        }
+        objects = {name: _made(group, values) for name, group in groups.items()}
         command(**values, **objects)
 
     # typer reads the signature, and looks up annotations only if the function has any.
@@ -56,17 +51,38 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     return ungrouped
 
 
+def _made(group: type[OptionGroup], values: dict[str, Any]) -> OptionGroup:
+    """Make a group of its values, which are taken out of `values`."""
+    types = get_type_hints(group)
+    return group(
+        **{
+            field.name: _made(types[field.name], values)
+            if _is_group(types[field.name])
+            else values.pop(field.name)
+            for field in fields(group)
+        }
+    )
+
+
+def _is_group(type_: Any) -> bool:
+    return isinstance(type_, type) and issubclass(type_, OptionGroup)
+
+
 def _parameters_of(group: type[OptionGroup]) -> list[Parameter]:
     types = get_type_hints(group, include_extras=True)
-    return [
-        Parameter(
-            field.name,
-            Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=_under(_heading(group, field.name), types[field.name]),
-        )
-        for field in fields(group)
-    ]
+    parameters = []
+    for field in fields(group):
+        type_ = types[field.name]
+        if _is_group(type_):
+            parameters += _parameters_of(type_)
+        else:
+            annotation = _under(_heading(group, field.name), type_)
+            parameters.append(
+                Parameter(
+                    field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation
+                )
+            )
+    return parameters
 
 
 def _heading(group: type[OptionGroup], name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
+from mbtool.core import LineSettings, Silence, UsageError, parse_line
+from mbtool.core.limits import MODBUS_PORT
+from mbtool.core.numbers import parse_number
 from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import LineSettings, Silence
+    from mbtool.decode.line_timing import LineTiming
     from mbtool.devices import Assignments
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import ReadingOptions
@@ -193,8 +195,6 @@ class TcpPorts(NamedTuple):
         """The ports on which Modbus is expected, if mbtool looks for it on all ports: there fewer
         bytes are enough to find it. None if it looks on the given ports only.
         """
-        from mbtool.core.limits import MODBUS_PORT
-
         if not self.any_port:
             return None
         return frozenset((*self.ports, *self.rtu_ports, MODBUS_PORT))
@@ -229,8 +229,6 @@ class PortOptions(OptionGroup):
 
         Raises UsageError for a text that is no port, and for a port that both options name.
         """
-        from mbtool.core import UsageError
-
         texts = self.port or ()
         ports = [_tcp_port("--port", text, ", or any") for text in texts if text != "any"]
         rtu_ports = [_tcp_port("--rtu-port", text) for text in self.rtu_port or ()]
@@ -337,6 +335,26 @@ class SilenceOptions(OptionGroup):
 
 
 @dataclass(frozen=True, slots=True)
+class CaptureOptions(OptionGroup):
+    """The options for reading captures and logs in the words of the devices' manuals."""
+
+    source: SourceOptions
+    silences: SilenceOptions
+    device: DeviceOption = None
+    raw: RawOption = False
+
+    def read(self, types: Sequence[str] | None = None) -> ReadingOptions:
+        """Combine these options with the values of --types, as `SourceOptions.read` does."""
+        return self.source.read(self.device, raw=self.raw, silences=self.silences, types=types)
+
+    def timing(self, types: Sequence[str] | None = None) -> LineTiming:
+        """Return the silences and the devices of links that are heard live."""
+        from mbtool.decode.line_timing import LineTiming
+
+        return LineTiming(assignments(self.device, types), *self.silences.read())
+
+
+@dataclass(frozen=True, slots=True)
 class TableOptionGroup(OptionGroup):
     """The options that decide how the table shows transactions."""
 
@@ -373,8 +391,6 @@ class TableOptionGroup(OptionGroup):
         names = [] if self.columns is None else [one.strip() for one in self.columns.split(",")]
         wrong = [one for one in names if one not in set(TableColumn)]
         if wrong:
-            from mbtool.core import UsageError
-
             raise UsageError(
                 f"--columns: there is no column {wrong[0]!r}; there are {', '.join(TableColumn)}"
             )
@@ -383,8 +399,6 @@ class TableOptionGroup(OptionGroup):
 
 
 def _tcp_port(option: str, text: str, others: str = "") -> int:
-    from mbtool.core.numbers import parse_number
-
     return parse_number(text, "TCP port", _TCP_PORTS, f"Invalid value for '{option}'", others)
 
 
@@ -429,16 +443,12 @@ def file_line(text: str | None) -> LineSettings | None:
     """
     if text is None:
         return None
-    from mbtool.core import parse_line
-
     return parse_line(text)
 
 
 def _silence(option: str, text: str | None) -> Silence | None:
     if text is None:
         return None
-    from mbtool.core import Silence, UsageError
-
     try:
         return Silence.parse(text)
     except UsageError as error:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 import typer
@@ -21,9 +22,6 @@ from mbtool.core.errors import reason_unwritten
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table
@@ -33,19 +31,6 @@ if TYPE_CHECKING:
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import Reading
-
-    MakeOutput = Callable[
-        [
-            TextIO,
-            str,
-            Callable[[TextIO], Printer],
-            EventChoice,
-            Where,
-            int | None,
-            SortKey | None,
-        ],
-        "RecordOutput",
-    ]
 
 _STANDARD_OUTPUT_NAME = "standard output"
 
@@ -227,7 +212,7 @@ def open_output(
     order: SortKey | None = None,
     overwrite: bool = False,
     in_place: bool = False,
-    make_output: MakeOutput | None = None,
+    make_output: Callable[..., RecordOutput] | None = None,
     is_summed: bool = True,
     if_interrupted: str = NOTHING_WRITTEN,
     points: str | None = None,

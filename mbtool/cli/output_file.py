@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from mbtool.cli.talk import NOTHING_WRITTEN, say, say_if_interrupted
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replacing
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def is_old(path: str | None) -> bool:

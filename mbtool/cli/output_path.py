@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from mbtool.cli.talk import say
 from mbtool.core import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 STANDARD_OUTPUT = "-"
 

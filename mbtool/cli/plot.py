@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,20 +12,25 @@ import typer
 
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
-    DeviceOption,
+    CaptureOptions,
     EndOption,
     GuessedTypesOption,
     OverwriteOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
     StartOption,
     WhereOption,
+    condition,
+    given_types,
 )
+from mbtool.cli.output_path import demand_new, demand_other_file, named_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say, say_if_interrupted
+from mbtool.core import InputError, UsageError
+from mbtool.core.extras import missing_extra
+from mbtool.core.moments import counted
+from mbtool.workflows.shared.named_files import named_files
+from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.console import Console
 
     from mbtool.views.plot_lines import PlotSize
@@ -48,7 +54,7 @@ def plot(
         ),
     ],
     *,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     types: GuessedTypesOption = None,
     where: WhereOption = None,
     start: StartOption = None,
@@ -61,23 +67,13 @@ def plot(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the values and their times as JSON.")
     ] = False,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
 ) -> None:
     """Plot values over time, in the terminal or as a picture.
 
     A value holds until the next one is read or written. Pictures need mbtool[plot].
     """
-    from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import demand_standard_output, say_if_empty
-    from mbtool.cli.output_path import demand_new, demand_other_file, named_file
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say, say_if_interrupted
-    from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
-    from mbtool.workflows.shared.named_files import named_files
-    from mbtool.workflows.shared.time_window import TimeWindow
 
     files, texts = _files_and_references(arguments)
     files = named_files(files)
@@ -94,7 +90,7 @@ def plot(
         demand_standard_output()
     window = TimeWindow.parse(start, end)
     given, guesses = given_types(types)
-    options = source.read(device, raw=raw, silences=silences, types=given)
+    options = capture.read(given)
     run = PlotRun(files, options, texts, window, condition(where), guesses=guesses)
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
@@ -127,8 +123,6 @@ def _files_and_references(arguments: Sequence[str]) -> tuple[list[str], list[str
     no existing file. Raises InputError if one of the others has the suffix of a capture and does
     not exist, UsageError if it does exist.
     """
-    from mbtool.core import InputError, UsageError
-
     at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
     texts = [] if at is None else list(arguments[at:])
     for one in texts:
@@ -144,8 +138,6 @@ def _picture(output: str) -> str:
 
     Raises UsageError for another suffix.
     """
-    from mbtool.core import UsageError
-
     found = _SUFFIXES.get(os.path.splitext(output)[1].lower())
     if found is None:
         raise UsageError(f"{output}: a picture ends in {', '.join(_SUFFIXES)}")
@@ -154,15 +146,11 @@ def _picture(output: str) -> str:
 
 def _demand_matplotlib() -> None:
     if find_spec("matplotlib") is None:
-        from mbtool.core.extras import missing_extra
-
         raise missing_extra("a picture", "plot")
 
 
 def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:
     from mbtool.cli.output import as_output_error, opened
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
     from mbtool.views.plot_image import write_image
 
     series = list(values.series.items())
@@ -181,8 +169,6 @@ def _print(
 
     from mbtool.cli.console import PipeConsole
     from mbtool.cli.output import as_output_error
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
     from mbtool.sources.files import shown_name
     from mbtool.views.plot_documents import values_json, values_lines
     from mbtool.views.plot_lines import plot_lines

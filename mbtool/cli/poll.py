@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,13 +13,12 @@ from mbtool.cli import exit_codes
 from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import Format, TableOptionGroup
+from mbtool.cli.talk import Interrupt, interruptible, say
+from mbtool.core import WireEvent
+from mbtool.core.moments import parse_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.cli.output import RecordOutput
-    from mbtool.cli.talk import Interrupt
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.views.polled_values import PolledValues
     from mbtool.workflows.ask import Asker, Changes, PollTally
@@ -54,8 +54,6 @@ def poll(
     there is a summary. --format csv prints a table for a spreadsheet: a row for each round, with
     its time and all values. With --count, exit 1 when a request gets an exception or no answer.
     """
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core.moments import parse_duration
     from mbtool.views.polled_values import PolledValues
     from mbtool.workflows.ask import Changes, PollTally
 
@@ -148,7 +146,6 @@ class Polling:
         """Send a request, and print its transaction; False if another master leaves no pause for
         it, though it left one before.
         """
-        from mbtool.cli.talk import say
         from mbtool.master.other_master import NoPauseError
 
         try:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
 from mbtool.core import WireEvent
+from mbtool.core.extras import missing_extra
 from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_jsonl
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.columns.parquet import ParquetRows, ValuesFile
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
@@ -215,6 +215,4 @@ def demand_columns(what: str = "--format parquet", extra: str = "columns") -> No
     The error says that `what`, an option, needs mbtool's extra named `extra`.
     """
     if find_spec("pyarrow") is None:
-        from mbtool.core.extras import missing_extra
-
         raise missing_extra(what, extra)

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from mbtool.cli.output_file import is_old, open_file
+from mbtool.cli.output_path import demand_new as demand_new_file
+from mbtool.cli.output_path import named_file
+from mbtool.cli.talk import say
+from mbtool.core import InputError, UsageError
+from mbtool.core.errors import reason_unwritten
+from mbtool.core.moments import counted
 
+if TYPE_CHECKING:
     from mbtool.devices.importing.register_list import ImportedList
 
 _SUFFIX = ".toml"
@@ -38,9 +45,6 @@ def profile_name(file: str, output: str | None) -> str | None:
 
 
 def give_imported(imported: ImportedList, output: str | None, *, overwrite: bool) -> None:
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
-
     for remark in imported.remarks:
         say(remark)
     give(imported.text, output, overwrite=overwrite)
@@ -49,7 +53,6 @@ def give_imported(imported: ImportedList, output: str | None, *, overwrite: bool
 
 
 def read_input(file: str) -> bytes:
-    from mbtool.core import InputError
     from mbtool.devices.importing.register_list import MAX_BYTES
 
     try:
@@ -79,10 +82,6 @@ def demand_new(
     `output` must have one of the suffixes. It must not exist, as the user may have edited it,
     except with `overwrite`. None and `-` stand for standard output.
     """
-    from mbtool.cli.output_path import demand_new as demand_new_file
-    from mbtool.cli.output_path import named_file
-    from mbtool.core import UsageError
-
     output = named_file(output)
     demand_new_file(output, overwrite=overwrite)
     if output is None:
@@ -104,10 +103,6 @@ def give(
 
 
 def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,), *, overwrite: bool) -> None:
-    from mbtool.cli.output_file import is_old, open_file
-    from mbtool.core import UsageError
-    from mbtool.core.errors import reason_unwritten
-
     demand_new(file, suffixes, overwrite=overwrite)
     if is_old(file):
         with open_file(file, in_place=False) as stream:

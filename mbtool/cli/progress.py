@@ -7,45 +7,14 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from mbtool.cli.talk import escaped
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mbtool.workflows.shared.read_all import Work
+from mbtool.workflows.shared.read_all import FILES, Work
 
 T = TypeVar("T")
-
-
-@dataclass
-class Files:
-    """Work that takes one file after the other."""
-
-    files: int
-    done: int = 0
-
-    @property
-    def fraction(self) -> float | None:
-        return self.done / self.files if self.files else None
-
-    @property
-    def progress_text(self) -> str:
-        return f"file {min(self.done + 1, self.files)} of {self.files}"
-
-    @property
-    def noun(self) -> str:
-        return "files"
-
-    def counted(self, results: Iterable[T]) -> Iterator[T]:
-        """Yield the results, one for each file, and count them."""
-        for result in results:
-            self.done += 1
-            yield result
-
 
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
@@ -59,7 +28,7 @@ def with_progress(work: Work, records: Iterator[T]) -> Iterator[T]:
     """Yield `records`, and show on a terminal how much of the work is done.
 
     `work` is what yields the records, such as a reading; a record is a transaction, or a block of
-    them, or with `Files` the result of a file.
+    them, or the result of a file.
     """
     return _with_progress_bar(work, records) if sys.stderr.isatty() else records
 
@@ -84,7 +53,7 @@ def _with_progress_bar(work: Work, records: Iterator[T]) -> Iterator[T]:
     with ExitStack() as shown:
         is_shown = False
         number, next_s = 0, began_s + _APPEARS_S
-        every = 1 if isinstance(work, Files) else _LOOK_EVERY
+        every = 1 if work.noun == FILES else _LOOK_EVERY
         for record in records:
             rows = getattr(record, "row_count", 1)
             number += rows

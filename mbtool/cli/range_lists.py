@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.cli.output import as_output_error
@@ -13,7 +14,6 @@ from mbtool.core.errors import reason_of
 from mbtool.core.moments import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from mbtool.workflows.replay_master import MasterRun

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +10,6 @@ from mbtool.cli.options import SortKey
 from mbtool.core import WireEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.decode.decoder import Record
 
 SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {

@@ -6,6 +6,11 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.output_file import report_left
+from mbtool.cli.talk import say
+from mbtool.core.moments import counted
+
 
 def recover(
     broken: Annotated[
@@ -23,10 +28,6 @@ def recover(
     part that is lost is a line on standard output: its place in the file, its bytes and its times.
     Exit 1 when something is lost.
     """
-    from mbtool.cli import exit_codes
-    from mbtool.cli.output_file import report_left
-    from mbtool.cli.talk import say
-    from mbtool.core.moments import counted
     from mbtool.workflows.recover import loss_text, recover
 
     with report_left(good):

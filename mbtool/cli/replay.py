@@ -9,7 +9,14 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.option_groups import with_option_groups
-from mbtool.cli.options import AllowOption, DeviceOption, RawOption, SourceOptions, WhereOption
+from mbtool.cli.options import (
+    AllowOption,
+    DeviceOption,
+    RawOption,
+    SourceOptions,
+    WhereOption,
+    condition,
+)
 from mbtool.cli.replay_options import (
     AS_BUS,
     AS_SLAVE,
@@ -20,6 +27,8 @@ from mbtool.cli.replay_options import (
     demand_side,
     one_link,
 )
+from mbtool.core import UsageError, parse_link
+from mbtool.core.link_spec import ANSWERED
 
 
 @with_option_groups
@@ -57,10 +66,6 @@ def replay(
 
     At a terminal: space pauses, s or right steps, + and - or up and down change the speed, q ends.
     """
-    from mbtool.cli.options import condition
-    from mbtool.core import UsageError, parse_link
-    from mbtool.core.link_spec import ANSWERED
-
     side, links = chosen.side_and_links()
     demand_side(context, side)
     reading = source.read(device, raw=raw)

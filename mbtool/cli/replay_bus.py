@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.keys import controlled
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import say
+from mbtool.core import LinkSpec, SerialLink
 from mbtool.core.moments import milliseconds
 from mbtool.sources.child import run_promptly
-from mbtool.workflows.replay_bus import BusRun, line_link
-
-if TYPE_CHECKING:
-    from mbtool.core import LinkSpec, SerialLink
-    from mbtool.workflows.replay_bus import BusOptions, BusReport
+from mbtool.workflows.replay_bus import BusOptions, BusReport, BusRun, line_link
 
 
 def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:

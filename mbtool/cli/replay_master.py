@@ -15,7 +15,7 @@ from mbtool.cli.output_path import demand_other_file
 from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
-from mbtool.core import LinkError, UsageError
+from mbtool.core import LinkError, LinkSpec, UsageError
 from mbtool.core.moments import counted, milliseconds, plural
 from mbtool.devices import DifferenceKind
 from mbtool.replay.comparing import MIN_VALUES
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mbtool.cli.replay_options import AsMasterOptions
-    from mbtool.core import LinkSpec
     from mbtool.workflows.replay_master import MasterOptions, Report
 
 SIDES = ("recorded", "answered")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -10,12 +12,12 @@ import typer
 
 from mbtool.cli.ask_options import ListenOption, TimeoutOption, listen_ns
 from mbtool.cli.option_groups import OptionGroup
+from mbtool.core import UsageError
 from mbtool.core.limits import RESPONSE_TIMEOUT_S
+from mbtool.core.moments import parse_duration
+from mbtool.core.numbers import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from fractions import Fraction
-
     from mbtool.devices import NamedTransaction
     from mbtool.replay import TimeRange
     from mbtool.workflows.replay_bus import BusOptions
@@ -79,8 +81,6 @@ class SideOptions(OptionGroup):
 
         Raises UsageError unless exactly one side is chosen with its own kind of link.
         """
-        from mbtool.core import UsageError
-
         chosen = {AS_SLAVE: self.as_slave, AS_MASTER: self.as_master, AS_BUS: self.as_bus}
         sides = [side for side, is_chosen in chosen.items() if is_chosen]
         if len(sides) != 1:
@@ -174,8 +174,6 @@ class AsSlaveOptions(OptionGroup):
         )
 
     def _end(self, *, is_loop: bool) -> EndChoice:
-        from mbtool.core import UsageError
-
         if is_loop and self.on_end not in (None, "loop"):
             raise UsageError(f"--loop is --on-end loop; leave it out for --on-end {self.on_end}")
         return "loop" if is_loop else self.on_end or "last"
@@ -240,10 +238,6 @@ class PaceOptions(OptionGroup):
         return BusOptions(**shared, is_loop=self.loop)
 
     def _rate(self) -> Fraction | None:
-        from fractions import Fraction
-
-        from mbtool.core import UsageError
-
         if self.speed == "max":
             return None
         try:
@@ -257,8 +251,6 @@ class PaceOptions(OptionGroup):
         return rate
 
     def _window(self) -> TimeRange:
-        from mbtool.core import UsageError
-        from mbtool.core.moments import parse_duration
         from mbtool.replay import TimeRange
 
         start_ns = parse_duration(self.start, "--start", 0, _MAX_NS)
@@ -364,9 +356,6 @@ class AsMasterOptions(OptionGroup):
         )
 
     def _units(self) -> dict[int, int]:
-        from mbtool.core import UsageError
-        from mbtool.core.numbers import parse_unit
-
         units = {}
         for text in self.unit or ():
             recorded, equals, asked = text.partition("=")
@@ -389,8 +378,6 @@ def one_link(side: str, links: Sequence[str]) -> str:
 
     `side` is the option, for the message. Raises UsageError if there are several links.
     """
-    from mbtool.core import UsageError
-
     if len(links) > 1:
         raise UsageError(f"--on {links[1]}: {side} has one link, here {links[0]}")
     return links[0]
@@ -398,8 +385,6 @@ def one_link(side: str, links: Sequence[str]) -> str:
 
 def demand_side(context: typer.Context, side: str) -> None:
     """Raise UsageError if the user gave an option that is only for another side."""
-    from mbtool.core import UsageError
-
     for name, only in _SIDE_OF_OPTION.items():
         source = context.get_parameter_source(name)
         if only != side and source is not None and source.name == "COMMANDLINE":

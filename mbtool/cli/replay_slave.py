@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -9,27 +10,23 @@ from typing import TYPE_CHECKING
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.keys import keyboard
+from mbtool.cli.keys import Keyboard, keyboard
+from mbtool.cli.options import condition
 from mbtool.cli.progress import with_progress
 from mbtool.cli.record_order import start_ns
 from mbtool.cli.serve import serve, while_read
 from mbtool.cli.talk import say
 from mbtool.core.moments import counted, plural
-from mbtool.devices import write_reference
+from mbtool.devices import Profile, write_reference
 from mbtool.modbus import FUNCTIONS
-from mbtool.replay import AnsweredFrom
-from mbtool.workflows.replay_site import SiteRun
+from mbtool.replay import AnsweredFrom, Progress, RequestKind
+from mbtool.workflows.replay_site import PlayedSite, SitePlayer, SiteRun
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterator, Mapping, Sequence
 
-    from mbtool.cli.keys import Keyboard
-    from mbtool.devices import Profile
     from mbtool.ports.tcp_listener import AllowedPeers
-    from mbtool.replay import Progress, RequestKind
     from mbtool.slave.shells import OnExchange
-    from mbtool.workflows.replay_site import PlayedSite, SitePlayer
     from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
@@ -91,7 +88,6 @@ class Exchanges:
     @contextmanager
     def open(self) -> Iterator[None]:
         """Open standard output for the rows while the context is open."""
-        from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
 
         with open_output(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,20 +10,26 @@ import typer
 
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
-    DeviceOption,
+    CaptureOptions,
     EndOption,
     GuessedTypesOption,
     OverwriteOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
     StartOption,
     WhereOption,
+    condition,
+    given_types,
 )
+from mbtool.cli.output_file import report_kept, report_left
+from mbtool.cli.output_path import demand_new, demand_other_file, named_file
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import say
+from mbtool.core import InputError, UsageError
+from mbtool.core.moments import counted
+from mbtool.workflows.shared.named_files import is_folder, named_files
+from mbtool.workflows.shared.read_all import CountedWork
+from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.views.report.contents import ReportWords
     from mbtool.views.report.folder_page import FileVerdict
 
@@ -52,7 +59,7 @@ def report(
         str,
         typer.Option("--note", metavar="TEXT", help="A note for the reader, under the verdict."),
     ] = "",
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     types: GuessedTypesOption = None,
     where: WhereOption = None,
     against: Annotated[
@@ -82,29 +89,17 @@ def report(
     ] = False,
     start: StartOption = None,
     end: EndOption = None,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
 ) -> None:
     """Make one page of captures, to read, print and hand over.
 
     It has the verdict, charts, findings and transactions, and needs no network and no other file.
     docs/report.md explains it.
     """
-    from mbtool.cli.options import condition, given_types
     from mbtool.cli.output import as_output_error, opened
-    from mbtool.cli.output_file import report_kept, report_left
-    from mbtool.cli.output_path import demand_new, demand_other_file, named_file
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError
-    from mbtool.core.moments import counted
     from mbtool.views.report.contents import ReportWords
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
     from mbtool.workflows.report_folder import file_verdicts
-    from mbtool.workflows.shared.named_files import is_folder, named_files
-    from mbtool.workflows.shared.time_window import TimeWindow
 
     folder = files[0] if len(files) == 1 and is_folder(files[0]) else None
     if folder is not None and (against is not None or everything):
@@ -120,7 +115,7 @@ def report(
         page = Path(path).with_suffix(".html")
         raise UsageError(f"{path}: the page is HTML: write -o {page}; a browser makes a PDF of it")
     given, guesses = given_types(types)
-    options = source.read(device, raw=raw, silences=silences, types=given)
+    options = capture.read(given)
     codes = CodeFilter.parse((), ignore or ())
     wanted = None if where is None else condition(where)
     words = ReportWords(title, note, where or "")
@@ -173,16 +168,10 @@ def _write_folder(
 ) -> None:
     """Write the page with a line for each of `files` to `path`, None for standard output."""
     from mbtool.cli.output import as_output_error, opened
-    from mbtool.cli.output_file import report_left
-    from mbtool.cli.output_path import demand_new
-    from mbtool.cli.progress import Files, with_progress
-    from mbtool.cli.talk import say
-    from mbtool.core import InputError
-    from mbtool.core.moments import counted
     from mbtool.views.report.folder_page import LEVELS, UNREAD
     from mbtool.workflows.report_folder import page_of
 
-    work = Files(len(files))
+    work = CountedWork(len(files))
     with report_left(path):
         demand_new(path, overwrite=overwrite)
         found = list(with_progress(work, work.counted(verdicts)))

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask_options import ListenOption, RecordOption, TimeoutOption, listen_ns
+from mbtool.cli.ask_options import ListenOption, RecordOption, TimeoutOption, listen_ns, recorded
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import ListFormat
+from mbtool.cli.output_file import demand_writable
+from mbtool.cli.profile_files import demand_new, give, is_file
+from mbtool.cli.talk import Interrupt, interruptible, say, shown_progress
 from mbtool.cli.tls_options import TargetTlsOptions
+from mbtool.core import InputError, LinkError, LinkSpec, TcpLink, UsageError, parse_link
+from mbtool.core.errors import reason_of
+from mbtool.core.link_spec import ANSWERED
+from mbtool.core.numbers import parse_number
+from mbtool.core.replacing import replace_content
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mbtool.cli.talk import Interrupt
-    from mbtool.core import LinkSpec
     from mbtool.devices import NamedTransaction
     from mbtool.master.links import MasterLink
     from mbtool.workflows.scan import FoundUnit, Scan, ScanState
@@ -110,11 +115,6 @@ def scan(
     Each unit is asked for a register, an echo and its identification; any answer counts, also a
     refusal. Only reads are sent, never a write. Exit 1 if no unit answers.
     """
-    from mbtool.cli.ask_options import recorded
-    from mbtool.cli.profile_files import demand_new
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import LinkError, UsageError, parse_link
-    from mbtool.core.link_spec import ANSWERED
     from mbtool.logs.opening import check_log_path
     from mbtool.master.links import open_master
 
@@ -176,9 +176,6 @@ def parse_ranges(text: str, option: str, allowed: range) -> list[int]:
 
 
 def _spans(text: str, option: str, allowed: range) -> list[range]:
-    from mbtool.core import UsageError
-    from mbtool.core.numbers import parse_number
-
     spans = []
     for part in text.split(","):
         first, dots, last = part.strip().partition("..")
@@ -198,8 +195,6 @@ def _hosts(text: str) -> list[str]:
     """Return the links of all hosts of a network, as in tcp:10.0.0.0/28:502; any other text as it
     is. Raises UsageError for a wrong network, or for more than 1,024 hosts.
     """
-    from mbtool.core import UsageError
-
     match = _NETWORK.fullmatch(text)
     if match is None:
         return [text]
@@ -222,9 +217,6 @@ def _state(
     """
     import msgspec
 
-    from mbtool.cli.output_file import demand_writable
-    from mbtool.core import InputError
-    from mbtool.core.errors import reason_of
     from mbtool.workflows.scan import ScanState
 
     span = None if addresses is None else (addresses.start, addresses.stop - 1)
@@ -302,8 +294,6 @@ class _Runner:
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
-        from mbtool.cli.talk import shown_progress
-        from mbtool.core import TcpLink
         from mbtool.workflows.scan import Scan
 
         work = Scan(
@@ -335,7 +325,6 @@ class _Runner:
         import msgspec
 
         from mbtool.cli.output import as_output_error
-        from mbtool.core.replacing import replace_content
 
         text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
         with as_output_error(str(file)):
@@ -343,9 +332,6 @@ class _Runner:
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:
         """Read all areas once more, and draft a profile from the answers."""
-        from mbtool.cli.profile_files import give, is_file
-        from mbtool.cli.talk import say
-        from mbtool.core import UsageError
         from mbtool.devices.profile_template import name_for
         from mbtool.values.draft import draft_profile
         from mbtool.workflows.scan import final_reads

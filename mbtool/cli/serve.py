@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import typer
@@ -10,8 +11,6 @@ from mbtool.cli import exit_codes
 from mbtool.cli.talk import interruptible, say
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.slave.shells import Shell
     from mbtool.slave.shells.opening import ShellGroup
 

@@ -6,17 +6,15 @@ records in the log.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted
 from mbtool.ports.clock import monotonic_ns, now_ns
 from mbtool.ports.service_manager import ServiceManager
-from mbtool.workflows.shared.heartbeat import HeartbeatLog
+from mbtool.workflows.shared.heartbeat import HeartbeatLog, StatusLog
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from mbtool.workflows.shared.heartbeat import StatusLog
     from mbtool.workflows.sniff import Sniffer
 
 STATUS_NS = 10_000_000_000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,13 @@ import typer
 
 from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.option_groups import with_option_groups
-from mbtool.cli.options import AllowOption
+from mbtool.cli.options import AllowOption, condition
+from mbtool.cli.talk import say
+from mbtool.core import UsageError, parse_link
+from mbtool.core.link_spec import ANSWERED
+from mbtool.core.numbers import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.cli.output import RecordOutput
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
@@ -92,12 +95,8 @@ def slave(
     It has the areas, limits and exceptions of the device's manual, keeps what is written to it, and
     does what docs/slave.md says.
     """
-    from mbtool.cli.options import condition
     from mbtool.cli.output import open_output
     from mbtool.cli.serve import serve, while_read
-    from mbtool.cli.talk import say
-    from mbtool.core import UsageError, parse_link
-    from mbtool.core.link_spec import ANSWERED
     from mbtool.devices import load_profile
     from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
@@ -154,8 +153,6 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
 
 def _say_changes(monitor: SlaveMonitor) -> None:
     """Say which outputs changed since the last call, and how many requests were not shown."""
-    from mbtool.cli.talk import say
-
     if missed := monitor.missed():
         say(f"mbtool: {missed:,} requests not shown: they come faster than they can be printed")
     if changed := monitor.changed_outputs():
@@ -169,9 +166,6 @@ def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
     is another device. Raises UsageError for a text that is no unit, and if two devices have the
     same unit.
     """
-    from mbtool.core import UsageError
-    from mbtool.core.numbers import parse_unit
-
     own: int | None = None
     others: dict[int, str] = {}
     for text in texts:
@@ -205,8 +199,6 @@ def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int,
     `6=FILE`. `others` has the other devices by unit. Raises UsageError for a unit without a device,
     and for a unit with two files.
     """
-    from mbtool.core import UsageError
-
     images: dict[int, Path] = {}
     for text in texts:
         with_unit = _WITH_UNIT.fullmatch(text)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.connection_options import ConnectionOptions
+from mbtool.cli.listening import (
+    allowed_networks,
+    chosen_tcp_ports,
+    found_settings,
+    read_only_taps,
+    sniffer_of,
+)
 from mbtool.cli.log_options import LogOptions
 from mbtool.cli.option_groups import OptionGroup, with_option_groups
 from mbtool.cli.options import (
@@ -27,16 +34,19 @@ from mbtool.cli.options import (
     TableOptionGroup,
     WaitOption,
     WhereOption,
+    assignments,
+    condition,
 )
+from mbtool.cli.talk import Interrupted, interruptible, never_suspended, never_waiting, say
 from mbtool.cli.tls_options import TlsOptions
+from mbtool.core import LinkSpec, SerialLink, UsageError, parse_link
+from mbtool.core.link_spec import HEARD
+from mbtool.core.serial_format import ModemLine, ModemLines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import Interrupt
-    from mbtool.core import LinkSpec, SerialLink
     from mbtool.devices import Assignments
     from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.live_out import LiveOut
@@ -91,7 +101,6 @@ class LiveOutOptions(OptionGroup):
 
         Raises UsageError for an option that is wrong, or a package that is missing.
         """
-        from mbtool.core import UsageError
         from mbtool.ports.metrics_server import MetricsServer, parse_place
         from mbtool.ports.mqtt import Broker, MqttPublisher
         from mbtool.workflows.live_out import LiveOut
@@ -112,11 +121,8 @@ class LiveOutOptions(OptionGroup):
 # The options for the modem lines DTR and RTS of serial ports.
 
 
-class LineChoice(StrEnum):
-    """The values of --dtr and --rts."""
-
-    KEEP = "keep"
-    OFF = "off"
+LineChoice = Literal["keep", "off"]
+"""The values of --dtr and --rts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +144,6 @@ class ModemOptions(OptionGroup):
 
         Raises UsageError if states are chosen but no link is a serial line.
         """
-        from mbtool.core import SerialLink, UsageError
-        from mbtool.core.serial_format import ModemLine, ModemLines
-
         chosen = ModemLines(*(ModemLine(one or ModemLine.RAISED) for one in (self.dtr, self.rts)))
         if chosen != ModemLines() and not any(isinstance(link, SerialLink) for link in links):
             raise UsageError("--dtr and --rts are for serial lines; none of the links is one")
@@ -198,20 +201,9 @@ def sniff(
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
-    from mbtool.cli.listening import (
-        allowed_networks,
-        chosen_tcp_ports,
-        found_settings,
-        read_only_taps,
-        sniffer_of,
-    )
     from mbtool.cli.live_output import LiveOutput
-    from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output, say_troubles
     from mbtool.cli.service import ServiceRun
-    from mbtool.cli.talk import Interrupted, interruptible, never_suspended, never_waiting, say
-    from mbtool.core import parse_link
-    from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
     from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.stats import LiveStatistics
@@ -330,7 +322,6 @@ def _show(
     `live` counts and judges them, `told` passes them on to other programs.
     `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
     """
-    from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
@@ -11,24 +12,35 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.listening import (
+    allowed_networks,
+    chosen_tcp_ports,
+    found_settings,
+    sniffer_of,
+)
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     AllowOption,
-    DeviceOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
+    CaptureOptions,
     WhereOption,
+    condition,
 )
+from mbtool.cli.progress import with_progress
+from mbtool.cli.talk import (
+    Interrupt,
+    Interrupted,
+    interruptible,
+    say,
+    say_if_interrupted,
+)
+from mbtool.core import InputError, SerialFormat, UsageError, parse_link
+from mbtool.core.link_spec import HEARD
+from mbtool.workflows.shared.named_files import named_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from rich.console import Console
     from rich.text import Text
 
-    from mbtool.cli.talk import Interrupt
-    from mbtool.core import SerialFormat
     from mbtool.devices import Profile
     from mbtool.ledger.account import Account
     from mbtool.troubles.judge import Judgement
@@ -55,7 +67,7 @@ def stats(
         ),
     ],
     *,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     where: WhereOption = None,
     top: Annotated[
         int | None,
@@ -82,9 +94,6 @@ def stats(
         float | None,
         typer.Option("--duration", metavar="S", min=0, help="Listen for so many seconds."),
     ] = None,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
     allow: AllowOption = None,
 ) -> None:
     """Show what is polled, how fast and what fails; of links live.
@@ -94,14 +103,12 @@ def stats(
     docs/stats.md explains each figure.
     """
     from mbtool.cli.output import demand_standard_output
-    from mbtool.core import UsageError
-    from mbtool.workflows.shared.named_files import named_files
 
     demand_standard_output()
     live = [is_link(one) for one in sources]
     if any(live) and not all(live):
         raise UsageError("name files or links, not both")
-    if any(live) and (raw or source.link is not None):
+    if any(live) and (capture.raw or capture.source.link is not None):
         raise UsageError("--raw and --link go with files")
     if not any(live) and (duration is not None or allow):
         raise UsageError("--duration and --allow go with a link")
@@ -111,9 +118,9 @@ def stats(
         raise UsageError("--advice goes with files")
     shown = _Shown(sources, where, as_json, top, advice)
     if any(live):
-        _listen(shown, device, source, silences, allow, duration)
+        _listen(shown, capture, allow, duration)
     else:
-        _read(shown, source.read(device, raw=raw, silences=silences))
+        _read(shown, capture.read())
 
 
 def is_link(text: str) -> bool:
@@ -211,11 +218,7 @@ def _print_advice(
 
 def _read(shown: _Shown, options: ReadingOptions) -> None:
     """Compute the statistics of files, and print them."""
-    from mbtool.cli.options import condition
     from mbtool.cli.output import say_if_empty
-    from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, say, say_if_interrupted
-    from mbtool.core import InputError
     from mbtool.workflows.check import CheckRun
 
     wanted = None if shown.where is None else condition(shown.where)
@@ -254,31 +257,22 @@ def _none(shown: _Shown) -> str:
 
 def _listen(
     shown: _Shown,
-    device: list[str] | None,
-    ports: SourceOptions,
-    silences: SilenceOptions,
+    capture: CaptureOptions,
     allow: list[str] | None,
     duration_s: float | None,
 ) -> None:
     """Compute the statistics of links, and print them at the end.
 
-    On a terminal they are shown each second until then. `device` and `allow` are the values of
-    --device and --allow. Listening ends with Ctrl-C, or after `duration_s` seconds if not None.
+    On a terminal they are shown each second until then. `allow` are the values of --allow.
+    Listening ends with Ctrl-C, or after `duration_s` seconds if not None.
     """
-    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, found_settings, sniffer_of
-    from mbtool.cli.options import assignments, condition
-    from mbtool.cli.talk import Interrupted, interruptible, say
-    from mbtool.core import parse_link
-    from mbtool.core.link_spec import HEARD
-    from mbtool.decode.line_timing import LineTiming
     from mbtool.workflows.sniff import serial_lines
     from mbtool.workflows.stats import LiveStatistics
 
     wanted = None if shown.where is None else condition(shown.where)
     specs = [parse_link(link, HEARD) for link in shown.sources]
-    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, ports)
-    devices = assignments(device)
-    timing = LineTiming(devices, *silences.read())
+    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, capture.source)
+    timing = capture.timing()
     serial_lines(specs)
     specs = timing.given(found_settings(specs, None))
     lines = serial_lines(specs)
@@ -286,7 +280,7 @@ def _listen(
     def format_of(link: str) -> SerialFormat | None:
         return timing.format_of(lines[link]) if link in lines else None
 
-    live = LiveStatistics(format_of, wanted, devices)
+    live = LiveStatistics(format_of, wanted, timing.assignments)
     with interruptible() as interrupt, sniffer_of(specs, timing, tcp_ports, allowed) as sniffer:
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
         with _view(shown, live) as refresh:

@@ -6,6 +6,9 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.talk import escaped
+
 
 def status(
     log: Annotated[
@@ -23,20 +26,16 @@ def status(
     """
     import msgspec
 
-    from mbtool.cli import exit_codes
-    from mbtool.cli.talk import escaped
-    from mbtool.views.status import status_document, status_lines
+    from mbtool.views.status import RecordedLog, status_document, status_lines
     from mbtool.workflows.status import heartbeat_numbers, recording_of
 
     one = recording_of(log)
-    known = (
-        *(str(one.path), one.state, one.log.size, one.log.capture, one.log.links),
-        *(one.log.heartbeat, heartbeat_numbers(one.log), one.now_ns),
-    )
+    of_log = one.log.size, one.log.capture, one.log.links, one.log.heartbeat
+    known = RecordedLog(str(one.path), one.state, *of_log, heartbeat_numbers(one.log), one.now_ns)
     if as_json:
-        typer.echo(msgspec.json.encode(status_document(*known)).decode())
+        typer.echo(msgspec.json.encode(status_document(known)).decode())
     else:
-        for line in status_lines(*known):
+        for line in status_lines(known):
             typer.echo(escaped(line))
     if not one.is_well:
         raise typer.Exit(exit_codes.NO)

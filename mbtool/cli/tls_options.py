@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import typer
 
 from mbtool.cli.option_groups import OptionGroup
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import LinkSpec, ListenTls, TargetTls
+from mbtool.core import LinkSpec, ListenTls, TapLink, TargetTls, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +63,6 @@ class TargetTlsOptions(OptionGroup):
 
         Raises UsageError if options contradict each other or lack one that they need.
         """
-        from mbtool.core import TargetTls, UsageError
-
         ca, cert, key = self.tls_target_ca, self.tls_target_cert, self.tls_target_key
         if ca is not None and self.tls_target_unverified:
             raise UsageError("--tls-target-ca and --tls-target-unverified exclude each other")
@@ -122,8 +117,6 @@ class TlsOptions(TargetTlsOptions):
 
         Raises UsageError for TLS options without a tap, and for options that contradict each other.
         """
-        from mbtool.core import TapLink, UsageError
-
         listen, target = self.listen(), self.target()
         if listen is None and target is None:
             return list(links)
@@ -145,8 +138,6 @@ class TlsOptions(TargetTlsOptions):
 
         Raises UsageError for an option that needs --tls-cert, if this is missing.
         """
-        from mbtool.core import ListenTls, UsageError
-
         if self.tls_cert is not None:
             return ListenTls(self.tls_cert, self.tls_key, self.tls_ca)
         for option, given in (("--tls-key", self.tls_key), ("--tls-ca", self.tls_ca)):

@@ -13,13 +13,11 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Callable
 from io import UnsupportedOperation
 from threading import Condition, Thread
 from time import monotonic
-from typing import TYPE_CHECKING, TextIO, cast
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import TextIO, cast
 
 MAX_WAITING = 2**20
 """The queue is full at this many bytes of text: about 10,000 rows."""

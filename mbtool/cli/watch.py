@@ -4,29 +4,40 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from math import inf
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli import exit_codes
+from mbtool.cli.listening import (
+    allowed_networks,
+    chosen_tcp_ports,
+    found_settings,
+    sniffer_of,
+)
 from mbtool.cli.option_groups import with_option_groups
 from mbtool.cli.options import (
     AllowOption,
-    DeviceOption,
+    CaptureOptions,
     GuessedTypesOption,
-    RawOption,
-    SilenceOptions,
-    SourceOptions,
     WhereOption,
+    condition,
+    given_types,
 )
+from mbtool.cli.talk import Interrupt, Interrupted, interruptible, never_waiting, say
+from mbtool.core import UsageError, parse_link
+from mbtool.core.extras import missing_extra
+from mbtool.core.link_spec import HEARD
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
-    from mbtool.cli.talk import Interrupt
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.watch import WatchFeed
@@ -57,7 +68,7 @@ def watch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
     ] = False,
-    device: DeviceOption = None,
+    capture: CaptureOptions,
     types: GuessedTypesOption = None,
     where: WhereOption = None,
     play: Annotated[
@@ -67,9 +78,6 @@ def watch(
         float | None,
         typer.Option("--duration", metavar="S", min=0, help="Leave after so many seconds."),
     ] = None,
-    raw: RawOption = False,
-    source: SourceOptions,
-    silences: SilenceOptions,
     allow: AllowOption = None,
 ) -> None:
     """Watch links or files on a full screen.
@@ -77,18 +85,15 @@ def watch(
     It shows polls, points, transactions, events, slaves and the bus load as they come; ? shows the
     keys, and docs/watch.md explains each view. It needs mbtool[watch].
     """
-    from mbtool.cli.options import condition, given_types
     from mbtool.cli.stats import is_link
-    from mbtool.cli.talk import never_waiting
     from mbtool.cli.watching.terminal_output import prepare_terminal
-    from mbtool.core import UsageError
 
     _demand_textual()
     condition(where)
     live = [is_link(one) for one in sources]
     if any(live) and not all(live):
         raise UsageError("name files or links, not both")
-    if any(live) and (raw or play or source.link is not None):
+    if any(live) and (capture.raw or play or capture.source.link is not None):
         raise UsageError("--raw, --link and --play go with files")
     if not any(live) and (write is not None or overwrite or allow):
         raise UsageError("--write, --overwrite and --allow go with a link")
@@ -104,21 +109,9 @@ def watch(
     given, guesses = given_types(types)
     with never_waiting():
         if any(live):
-            _watch_links(
-                sources,
-                write,
-                device,
-                given,
-                guesses,
-                where,
-                source,
-                silences,
-                allow,
-                duration,
-                overwrite,
-            )
+            _watch_links(sources, write, capture, given, guesses, where, allow, duration, overwrite)
         else:
-            options = source.read(device, raw=raw, silences=silences, types=given)
+            options = capture.read(given)
             _watch_files(sources, options, where, duration, plays=play, guesses=guesses)
 
 
@@ -126,33 +119,21 @@ def _demand_textual() -> None:
     try:
         import textual  # noqa: F401 - only if it is there
     except ImportError:
-        from mbtool.core.extras import missing_extra
-
         raise missing_extra("watch", "watch") from None
 
 
 def _watch_links(
     sources: Sequence[str],
     write: str | None,
-    device: list[str] | None,
+    capture: CaptureOptions,
     types: list[str],
     guesses: bool,
     where: str | None,
-    ports: SourceOptions,
-    silences: SilenceOptions,
     allow: list[str] | None,
     duration: float | None,
     overwrite: bool,
 ) -> None:
-    from collections import deque
-
-    from mbtool.cli.listening import allowed_networks, chosen_tcp_ports, found_settings, sniffer_of
     from mbtool.cli.log_options import place_of
-    from mbtool.cli.options import assignments
-    from mbtool.cli.talk import interruptible, say
-    from mbtool.core import parse_link
-    from mbtool.core.link_spec import HEARD
-    from mbtool.decode.line_timing import LineTiming
     from mbtool.logs.opening import check_log_path, create_log
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.shared.model_hints import ModelHints
@@ -162,9 +143,9 @@ def _watch_links(
     from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver
 
     specs = [parse_link(link, HEARD) for link in sources]
-    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, ports)
-    devices = assignments(device, types)
-    timing = LineTiming(devices, *silences.read())
+    allowed, tcp_ports = allowed_networks(specs, allow), chosen_tcp_ports(specs, capture.source)
+    timing = capture.timing(types)
+    devices = timing.assignments
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
@@ -218,7 +199,6 @@ def _watch_files(
     plays: bool,
     guesses: bool,
 ) -> None:
-    from mbtool.cli.talk import interruptible, say
     from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.watch import FileFeed, make_watched
     from mbtool.workflows.watch_saving import EvidenceSaver
@@ -260,9 +240,6 @@ def _show(
     first filter. `ends` returns True after a signal or when --duration is over. Raises typer.Exit
     with the exit code, or the error that ended the feed.
     """
-    from mbtool.cli import exit_codes
-    from mbtool.cli.options import condition
-    from mbtool.cli.talk import Interrupted, say
     from mbtool.cli.watching.app import WatchApp
     from mbtool.cli.watching.terminal_output import accept_any_byte, terminal_output
 
@@ -296,8 +273,6 @@ def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:
 
     With `duration_s` None, only a signal counts.
     """
-    from math import inf
-
     from mbtool.ports.clock import steady_clock
 
     clock = steady_clock()

@@ -22,12 +22,9 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 MIN_FILES, MAX_FILES = 4, 16
 """The least and the greatest number of files that one decoder decodes in a row. With fewer, too

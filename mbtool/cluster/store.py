@@ -12,9 +12,10 @@ import hashlib
 import os
 import re
 import stat
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from pyarrow import fs
@@ -23,9 +24,6 @@ from mbtool.cluster.plan import InputFile
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_of
 from mbtool.core.replacing import make_folder, move_into_place
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)

@@ -12,14 +12,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbtool.core.errors import OutputError, UsageError, reason_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def move_into_place(new: Path, target: Path) -> None:

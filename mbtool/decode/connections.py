@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,8 +31,6 @@ from mbtool.serial_line.bus_model import BusModel
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.core import Connection, StreamPlace
     from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace

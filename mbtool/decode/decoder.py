@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.core import (
@@ -34,6 +35,7 @@ from mbtool.core import (
     SerialFormat,
     SerialLink,
     Stamp,
+    StreamPlace,
     WireEvent,
 )
 from mbtool.core.limits import MODBUS_PORT
@@ -60,17 +62,13 @@ from mbtool.packets import (
     TcpReassembler,
     serial_pieces,
 )
-from mbtool.packets.reassembler import MAX_CONNECTIONS
+from mbtool.packets.reassembler import MAX_CONNECTIONS, FlowEnds
 from mbtool.packets.usb import USB_LINK_TYPES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mbtool.core import StreamPlace
     from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.packets.connection import TcpConnection
     from mbtool.packets.plain_bytes import RestPlace
-    from mbtool.packets.reassembler import FlowEnds
 
 # Decodes a serial line from a program's log that has whole frames and names their senders.
 #

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from mbtool.decode.master_habits import MIN_LATE_NS
+from mbtool.decode.master_habits import MIN_LATE_NS, MasterHabits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.open_requests import OpenRequest
     from mbtool.decode.pairing_readings import PairReading
     from mbtool.modbus.adu import Adu
@@ -29,17 +27,25 @@ def give_up_late(
     handles one request at a time, so the wait of a request that was sent while others waited is
     counted from the last response on.
     """
+    waits: dict[int | None, int] = {}
     for reading in readings:
         late: list[OpenRequest] = []
         for place, one in enumerate(reading.waiting):
             since_ns = one.since_ns
             if one.number > reading.newest:
-                since_ns = max(since_ns, habits.last_response_ns)
+                if habits.last_response_ns > since_ns:
+                    since_ns = habits.last_response_ns
                 if place and one.number in reading.behind_others:
                     if late or one.is_pipelined:
                         break  # It only waits for an earlier request.
-                    since_ns = max(since_ns, reading.gave_up_ns)
-            if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
+                    if reading.gave_up_ns > since_ns:
+                        since_ns = reading.gave_up_ns
+            function = None if one.adu is None else one.adu.pdu[0]
+            if (wait_ns := waits.get(function)) is None:
+                wait_ns = waits[function] = after_ns(function)
+            if now_ns - since_ns <= wait_ns:
+                continue
+            if one.number not in reading.given_up and not one.may_not_exist:
                 late.append(one)
         if late:
             reading.give_up(late)

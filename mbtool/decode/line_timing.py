@@ -14,15 +14,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialFormat, SerialLink, Silence, UsageError
 from mbtool.devices import Assignments
 from mbtool.modbus import Transport
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,12 +4,11 @@ respond.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import sub
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.decode.open_requests import OpenRequest
 
 LATE = 1.5
@@ -242,5 +241,5 @@ class MasterHabits:
             return True
         if not self.ids_vary or not waiting or request is not waiting[-1]:
             return False
-        ids = [one.transaction_id for one in waiting]
-        return ids.count(ids[-1]) == 1
+        same = request.transaction_id
+        return sum([one.adu is not None and one.adu.transaction_id == same for one in waiting]) == 1

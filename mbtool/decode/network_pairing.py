@@ -48,7 +48,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -71,11 +72,12 @@ from mbtool.decode.pairing_readings import (
     likely_cost,
     lost_runs,
     may_be_among,
+    most_readings,
     options,
     without_costly,
     without_pipelined,
 )
-from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, PlainStretch
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -89,13 +91,9 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import unfinished_in
 from mbtool.modbus.adu import Adu, Skipped, Verdict
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.decode.plain_stretch import PlainStretch
-    from mbtool.modbus.transaction import Transaction
+_Costed = TypeVar("_Costed", bound=tuple[Any, ...])
 
 TIMEOUT_NS = 60_000_000_000
 """A request that got no response within this time (ns) is closed. Masters wait less, so that a late
@@ -355,7 +353,10 @@ class NetworkPairing:
         waiting = self._readings[0].waiting
         if not self._habits.ids_vary:
             return len(waiting)
-        return sum([one.transaction_id == request.transaction_id for one in waiting])
+        if request.adu is None:
+            return sum([one.adu is None for one in waiting])
+        same = request.adu.transaction_id
+        return sum([one.adu is not None and one.adu.transaction_id == same for one in waiting])
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
         """Remove the oldest of too many waiting requests, and add its transaction to `done`."""
@@ -383,16 +384,20 @@ class NetworkPairing:
             done.append(self._answered_transaction(response, one, since_ns, place))
             return
         overlaps = len(first.waiting) > 1 and sum(first.awaits(one) for one in first.waiting) > 1
-        readings: list[PairReading] = []
+        found: list[tuple[float, PairReading, PairOption]] = []
         for reading in self._readings:
-            found = self._options(reading, response, place, is_only_one=is_only_one)
-            for option in found[1:]:
-                other = reading.copy()
-                other.take(option, response, self._habits, since_ns, place)
-                readings.append(other)
-            reading.take(found[0], response, self._habits, since_ns, place)
-            readings.append(reading)
-        self._readings = readings
+            best, *others = self._options(reading, response, place, is_only_one=is_only_one)
+            cost = likely_cost(reading)
+            found += [(cost + option.likely_cost(reading), reading, option) for option in others]
+            found.append((cost + best.likely_cost(reading), reading, best))
+        taken = _likeliest(found, most_readings(len(first.waiting)))
+        self._readings = []
+        for _, reading, option in taken:
+            other = reading.copy() if len(taken) > 1 else reading
+            other.take(option, response, self._habits, since_ns, place)
+            if len(taken) < len(found):
+                other.steps = (*other.steps[:-1], other.steps[-1]._replace(is_sure=False))
+            self._readings.append(other)
         self._habits.last_response_ns = response.end_ns
         self._settle(done)
         if overlaps and len(self._readings) == 1:
@@ -482,12 +487,16 @@ class NetworkPairing:
             self._doubt_order(_open_in(self._readings[0]), others_answered=self._doubt is None)
         if len(runs) == 1 and not runs[0][3]:
             return
+        runs = [run for run in runs if run[0] <= limit]
+        taken = _likeliest(runs, most_readings(len(self._readings[0].waiting)))
         self._readings = []
-        for total, cost, start, count, reading in runs:
-            if total <= limit:
-                other = reading.copy()
-                other.suppose_lost_responses(start, count, cost, at_ns)
-                self._readings.append(other)
+        for _, cost, start, count, reading in taken:
+            if len(taken) < len(runs):
+                for one in reading.waiting[: max(start + count for *_, start, count, _ in runs)]:
+                    one.may_be_lost = True
+            other = reading.copy()
+            other.suppose_lost_responses(start, count, cost, at_ns)
+            self._readings.append(other)
 
     def _doubt_order(self, open_: list[OpenRequest], *, others_answered: bool = False) -> None:
         """Doubt the order anew after a loss; a doubt that a choice began stays one."""
@@ -695,3 +704,14 @@ class NetworkPairing:
 def _open_in(reading: PairReading) -> list[OpenRequest]:
     """Return the requests of a reading that have no response, in the order of their sending."""
     return sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
+
+
+def _likeliest(found: list[_Costed], most: int) -> list[_Costed]:
+    """Return the cheapest of some ways to pair, at most `most`, in the given order.
+
+    The first field of each is its cost.
+    """
+    if len(found) <= most:
+        return found
+    cheapest = sorted(range(len(found)), key=lambda place: found[place][0])[:most]
+    return [found[place] for place in sorted(cheapest)]

@@ -16,11 +16,10 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.decode.open_requests import OpenRequest
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu

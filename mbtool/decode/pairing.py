@@ -33,6 +33,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
@@ -50,17 +51,13 @@ from mbtool.decode.transactions import (
 )
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
-from mbtool.modbus.adu import Verdict
+from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.expected_response import ExpectedResponse, is_response_code
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.decode.stream_progress import AduPlace
-    from mbtool.modbus.adu import Adu, Skipped
-    from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
 """A request that got no response within this time (ns) is given up. Masters wait less, so that a

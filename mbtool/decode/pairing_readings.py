@@ -23,6 +23,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
@@ -30,8 +33,6 @@ from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
 from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.decode.master_habits import MasterHabits
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
@@ -85,6 +86,10 @@ MAX_LATE = 4
 """A response may go to one of at most this many given-up requests, the newest ones. With the
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
+MAX_COPIED = 40 * MAX_BEFORE
+"""The most waiting requests in all readings that are made for one response or loss: 40 readings of
+16 requests, but LEAST_READINGS of 100. If there are more within MARGIN, the pairs are ambiguous."""
+LEAST_READINGS = MAX_LATE + 2
 MAX_LOST_RUNS = 16
 """For lost bytes of responses, about this many choices of the requests that they answered are
 tried, those with the earliest requests first, as a slave answers in order. More would take too long
@@ -128,6 +133,11 @@ class PairOption(NamedTuple):
 
     cost: float
     request: OpenRequest | None
+
+    def likely_cost(self, reading: PairReading) -> float:
+        """What the option adds to the `likely_cost` of a reading."""
+        is_late = self.request is not None and self.request.number in reading.given_up
+        return self.cost + UNLIKELY * is_late
 
 
 REQUEST_BEFORE = OpenRequest(number=0, since_ns=0, adu=None)
@@ -211,7 +221,7 @@ class PairReading:
 
     def has_different_ids(self, habits: MasterHabits) -> bool:
         """True if several requests wait for responses, and each has its own transaction id."""
-        ids = [one.transaction_id for one in self.waiting]
+        ids = [None if one.adu is None else one.adu.transaction_id for one in self.waiting]
         is_known = habits.ids_vary or None not in ids
         return is_known and len(ids) > 1 and len(set(ids)) == len(ids)
 
@@ -306,25 +316,22 @@ class PairReading:
         self.waiting = kept
 
     def _pass_over(self, place: int, request: OpenRequest, habits: MasterHabits) -> None:
-        passed = [
-            one
-            for one in self.waiting[:place]
-            if habits.is_sequential or is_before(one, request, habits)
-        ]
-        for one in passed:
-            self.waiting.remove(one)
-            if one.adu is not None:
-                self.passed.append(one)
-
-
-def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> bool:
-    """True if a slave that answers request `other` will not answer the earlier request `one` later.
-
-    A slave answers requests with the same transaction id in their order.
-    """
-    if one.adu is None or other.adu is None:
-        return not habits.ids_vary
-    return one.adu.transaction_id == other.adu.transaction_id
+        earlier = self.waiting[:place]
+        captured = [one for one in earlier if one.adu is not None]
+        if habits.is_sequential:
+            kept = []
+        elif request.adu is None:
+            kept = earlier if habits.ids_vary else []
+        else:  # A slave answers requests with the same transaction id in their order.
+            same = request.adu.transaction_id
+            kept = [
+                one
+                for one in earlier
+                if (habits.ids_vary if one.adu is None else one.adu.transaction_id != same)
+            ]
+        left = {one.number for one in kept}
+        self.passed += [one for one in captured if one.number not in left]
+        self.waiting[:place] = kept
 
 
 def options(
@@ -332,27 +339,38 @@ def options(
 ) -> Iterator[PairOption]:
     """Yield the requests of a reading that a response may answer, each with its cost (see LATE).
 
-    `place` is the position of the response in the connection; None if unknown.
+    `place` is the position of the response in the connection; None if unknown. Behind more options
+    than readings can be made of (`most_readings`), only cheaper ones are yielded.
     """
+    most, cheap = most_readings(len(reading.waiting)), 0
     if reading.before:
         yield PairOption(_cost_before(response, reading, habits), REQUEST_BEFORE)
     too_late = _too_late(reading, response, place)
-    skipped: list[OpenRequest] = []
+    has_id = _CapturedIds(reading, response, habits)
+    passed = _PassedOver(reading, response, habits)
     best = UNASKED
+    alike = dict.fromkeys(range(4), 0)
     for one in reading.waiting:
+        if one.adu is None:
+            kind = one.may_not_exist + 2 * (one.number < has_id.last)
+            alike[kind] += 1
+            if alike[kind] > most + 1:
+                passed.add(one)  # Not cheaper than the ones like it before.
+                continue
         if _has_id(one, response) and one.can_get(response, place) and one.number not in too_late:
-            passed = _cost_of_passing_all(reading, skipped, one, habits)
-            cost = passed + _response_cost(one, response, reading, habits)
+            before = passed.cost_to(one)
+            cost = before + _response_cost(one, response, reading, habits, has_id)
             best = min(best, cost)
             yield PairOption(cost, one)
-            if passed > best + MARGIN:
+            cheap += cost <= before
+            if before > best + MARGIN or cheap > most:
                 return
-        skipped.append(one)
+        passed.add(one)
     if best + MARGIN < OUT_OF_ORDER:
         return  # A request in `passed` would cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
-            cost = OUT_OF_ORDER + _response_cost(one, response, reading, habits)
+            cost = OUT_OF_ORDER + _response_cost(one, response, reading, habits, has_id)
             yield PairOption(cost, one)
 
 
@@ -360,7 +378,7 @@ def _cost_before(response: Adu, reading: PairReading, habits: MasterHabits) -> f
     """Return the cost (in units of LATE) of a response to a request before the capture."""
     if not reading.waiting:
         return 0.0
-    if _captured_has_id(response, reading, habits):
+    if _CapturedIds(reading, response, habits).last:
         return OTHER_ID
     cost = AGAIN_BEFORE if reading.used_before else BEFORE
     is_damaged = not response.missing and parse_pdu(response.pdu, Direction.RESPONSE).problem
@@ -385,25 +403,41 @@ def _has_id(one: OpenRequest, response: Adu) -> bool:
     return one.adu is None or one.adu.transaction_id == response.transaction_id
 
 
-def _cost_of_passing_all(
-    reading: PairReading, skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
-) -> float:
-    """Return the cost if request `chosen` gets a response and the earlier `skipped` ones do not.
+class _PassedOver:
+    """The costs (in units of LATE) if a later request gets a response and earlier ones do not.
 
-    The cost is in units of LATE.
+    A slave answers requests with the same transaction id in their order.
     """
-    same = others = 0.0
-    late = 0
-    for one in skipped:
-        is_late = one.number in reading.given_up
-        if is_late and late == MAX_LATE:
-            continue
-        late += is_late
-        if is_before(one, chosen, habits):
-            same += _cost_of_passing(one, reading)
-        elif one.adu is not None and not habits.reorders:
-            others += _cost_of_passing(one, reading)
-    return same + min(others, UNANSWERED)
+
+    def __init__(self, reading: PairReading, response: Adu, habits: MasterHabits) -> None:
+        self._reading, self._habits = reading, habits
+        self._transaction_id = response.transaction_id
+        self._late = 0
+        self._costs = {True: [0.0, 0.0], False: [0.0, 0.0]}
+        """By whether the later request was captured: what is lost for good, and what the slave may
+        still answer in another order."""
+
+    def add(self, one: OpenRequest) -> None:
+        """Pass over one more request."""
+        if one.number in self._reading.given_up:
+            if self._late == MAX_LATE:
+                return
+            self._late += 1
+        cost = _cost_of_passing(one, self._reading)
+        if not cost:
+            return
+        ids_vary = self._habits.ids_vary
+        is_captured = one.adu is not None
+        has_id = one.transaction_id == self._transaction_id if is_captured else not ids_vary
+        for is_to_captured, is_before in ((True, has_id), (False, not ids_vary)):
+            if is_before:
+                self._costs[is_to_captured][0] += cost
+            elif is_captured and not self._habits.reorders:
+                self._costs[is_to_captured][1] += cost
+
+    def cost_to(self, chosen: OpenRequest) -> float:
+        same, others = self._costs[chosen.adu is not None]
+        return same + min(others, UNANSWERED)
 
 
 def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
@@ -413,10 +447,14 @@ def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
 
 
 def _response_cost(
-    one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits
+    one: OpenRequest,
+    response: Adu,
+    reading: PairReading,
+    habits: MasterHabits,
+    has_id: _CapturedIds,
 ) -> float:
     if one.adu is None:
-        if _captured_has_id(response, reading, habits, one.number):
+        if one.number < has_id.last:
             return OTHER_ID
         return NOT_LIKELY if one.may_not_exist else 0.0
     cost = 0.0 if one.fits(response) else MISFIT
@@ -427,24 +465,36 @@ def _response_cost(
     return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
 
 
-def _captured_has_id(
-    response: Adu, reading: PairReading, habits: MasterHabits, lost: int = 0
-) -> bool:
-    """True if a captured request has the id of `response`, and no lost request can have it.
+class _CapturedIds:
+    """The captured requests with a response's id that no request which the capture lacks can have.
 
-    `lost` is the number of the lost request that the response may answer, 0 for one before the
-    capture.
+    Looked for when it is first asked.
     """
-    if not (habits.ids_count_up or habits.ids_vary):
-        return False  # The master sends one id, so any lost request has it.
-    return any(
-        each.adu is not None
-        and each.adu.transaction_id == response.transaction_id
-        and not each.repeats_lost_id
-        and (each.number > lost or each.number not in reading.given_up)
-        and habits.has_own_id(each, reading.waiting)
-        for each in (*reading.waiting, *reading.passed)
-    )
+
+    def __init__(self, reading: PairReading, response: Adu, habits: MasterHabits) -> None:
+        self._reading, self._response, self._habits = reading, response, habits
+
+    @cached_property
+    def last(self) -> int:
+        """The number of the last one, more than any number if one is awaited; 0 if there is none.
+
+        No lost request with a smaller number gets the response.
+        """
+        return max(self._numbers(), default=0)
+
+    def _numbers(self) -> Iterator[int]:
+        """Give the numbers of these requests; for one that is awaited, more than any other has."""
+        habits, reading = self._habits, self._reading
+        if not (habits.ids_count_up or habits.ids_vary):
+            return  # The master sends one id, so any lost request has it.
+        for one in (*reading.waiting, *reading.passed):
+            if (
+                one.adu is not None
+                and one.adu.transaction_id == self._response.transaction_id
+                and not one.repeats_lost_id
+                and habits.has_own_id(one, reading.waiting)
+            ):
+                yield one.number if one.number in reading.given_up else sys.maxsize
 
 
 def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> bool:
@@ -460,7 +510,8 @@ def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> boo
         if other.adu is None:
             return True
         if other is not one:
-            sums |= {total + size for total in sums for size in other.response_sizes()}
+            sizes = other.response_sizes()
+            sums |= {total + size for total in sums for size in sizes}
     sizes = one.response_sizes()
     return not sizes or any(lost - size in sums for size in sizes)
 
@@ -498,8 +549,11 @@ def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
         if one.adu is None:
             any_size += SMALLEST_RESPONSE
         else:
-            sums = {total + size for total in sums for size in one.response_sizes()}
-        if lost in sums or (any_size and any(total + any_size <= lost for total in sums)):
+            sizes = one.response_sizes()
+            sums = {total + size for total in sums for size in sizes}
+        if min(sums, default=lost) + any_size > lost:
+            return
+        if lost in sums or (any_size and sums):
             yield count
 
 
@@ -521,9 +575,11 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
     """Return the readings (ways to pair) that cost at most MARGIN more than the cheapest one.
 
     Of several readings with the same waiting requests only the cheapest one is returned; its pairs
-    that the other readings lack become ambiguous. At most MAX_READINGS are returned.
+    that the other readings lack become ambiguous. At most MAX_READINGS and `most_readings` are
+    returned; the pairs of the cheapest that the dropped ones lack become ambiguous, too.
     """
     limit = min(reading.cost for reading in readings) + MARGIN
+    most = min(most_readings(len(readings[0].waiting)), MAX_READINGS)
     kept: dict[tuple[int, ...], PairReading] = {}
     for reading in sorted(readings, key=likely_cost):
         if reading.cost > limit:
@@ -531,9 +587,16 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
         key = (reading.before, *[one.number for one in reading.waiting])
         if key in kept:
             _mark_differences(kept[key], reading)
-        elif len(kept) < MAX_READINGS:
+        elif len(kept) < most:
             kept[key] = reading
+        else:
+            _mark_differences(next(iter(kept.values())), reading)
     return [*kept.values()]
+
+
+def most_readings(waiting: int) -> int:
+    """Return how many readings with so many waiting requests are made for one response or loss."""
+    return max(MAX_COPIED // max(waiting, MAX_BEFORE), LEAST_READINGS)
 
 
 def without_pipelined(readings: list[PairReading]) -> list[PairReading]:

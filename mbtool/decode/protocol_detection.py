@@ -47,15 +47,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import Enum, auto
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Connection, Direction, Endpoint, EventKind, StreamPlace, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded, stream_splitter
 from mbtool.decode.stream_progress import OTHER
-from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH
+from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH, MbapSplitter
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
 from mbtool.modbus.functions import FUNCTIONS
@@ -63,10 +64,6 @@ from mbtool.modbus.pdu import pdu_length
 from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from mbtool.core import Connection, Endpoint, StreamPlace
-    from mbtool.framing.mbap import MbapSplitter
     from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 
     _Splitters = dict[Direction, MbapSplitter | RtuStreamSplitter]

@@ -8,15 +8,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import msgspec
 
-from mbtool.core import Direction
+from mbtool.core import Direction, StreamPlace
 from mbtool.packets.stream import LEAD
-
-if TYPE_CHECKING:
-    from mbtool.core import StreamPlace
 
 _KNOWN_START = 8
 """The number of first bytes of a response that tell its unit and function: MBAP and function

@@ -30,14 +30,14 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import islice, takewhile
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
-from mbtool.decode.connections import skipped_event
+from mbtool.decode.connections import Decoded, skipped_event
 from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
@@ -46,12 +46,6 @@ from mbtool.modbus.expected_response import is_response_code, is_response_to
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import SerialFormat
-    from mbtool.decode.connections import Decoded
 
 # Aligns the requests that one tap heard with the responses that another tap heard.
 #

@@ -29,7 +29,6 @@ import struct
 from collections import OrderedDict, defaultdict
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import TYPE_CHECKING
 
 from mbtool.core import (
     Chunk,
@@ -37,6 +36,7 @@ from mbtool.core import (
     EventKind,
     LineSettings,
     Origin,
+    Packet,
     SerialFormat,
     SerialLink,
     StreamPlace,
@@ -44,11 +44,7 @@ from mbtool.core import (
 )
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import begins_with_frame
-from mbtool.packets.usb import BULK, read_transfer
-
-if TYPE_CHECKING:
-    from mbtool.core import Packet
-    from mbtool.packets.usb import UsbTransfer
+from mbtool.packets.usb import BULK, UsbTransfer, read_transfer
 
 MAX_DEVICES = 64
 """At most this many USB devices are followed; a further one makes the one that was silent longest

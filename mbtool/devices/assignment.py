@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,6 @@ from mbtool.devices.model import Profile
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.modbus.transaction import Transaction
 
 _MAX_CACHED = 1024

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import json
 import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -20,8 +21,6 @@ from mbtool.devices.model import Exceptions, Point, Profile, Radix, Timing
 from mbtool.devices.point_types import PointType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from mbtool.devices.model import Area, FunctionRule, Texts
 
 _WIDTH = 100

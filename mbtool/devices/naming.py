@@ -16,9 +16,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -55,12 +54,7 @@ from mbtool.modbus.functions import (
 )
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 _MAX_CACHED = 4096
 _MAX_CACHED_POINTS = 65_536

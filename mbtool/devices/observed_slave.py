@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,13 +22,10 @@ from mbtool.devices.identity import answer_word
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.adu import Transport
-    from mbtool.modbus.transaction import Transaction
 
 MAX_REQUESTS = 8192
 MAX_SAMPLED = 512

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -18,8 +19,6 @@ from mbtool.modbus.functions import FUNCTIONS, exception_name, function_name
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.model import FunctionRule, Point, Profile
     from mbtool.devices.named_transaction import PointValue
     from mbtool.modbus.tables import Table

@@ -22,6 +22,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,6 @@ from mbtool.devices.request_match import GroupedRequests, MatchCounts, compare_w
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.block_reads import can_be_read
@@ -16,8 +17,6 @@ from mbtool.modbus.functions import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.devices.model import Profile
     from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 

@@ -11,18 +11,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.devices.model import ExceptionCause
+from mbtool.devices.model import AnswerWord, ExceptionCause, FunctionRule, Profile
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.modbus.functions import TABLE_FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu, whole_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-
-    from mbtool.devices.model import AnswerWord, FunctionRule, Profile
     from mbtool.modbus.transaction import Transaction
 
 _CAUSES = {

@@ -10,15 +10,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 
 from mbtool.devices.model import Profile
 from mbtool.devices.point_types import PointType
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _EXTENDS = (
     "A built-in profile's name, or the path of a file relative to this one. This file then has "

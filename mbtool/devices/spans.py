@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ from mbtool.devices.references import parse_reference, write_reference
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.devices.model import Profile
 
 _NEUTRAL = {write_reference(None, table, 0).split()[0]: table for table in Table}

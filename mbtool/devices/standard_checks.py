@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from mbtool.core import Direction
 from mbtool.modbus.adu import Verdict
@@ -23,12 +23,7 @@ from mbtool.modbus.functions import (
 )
 from mbtool.modbus.pdu import parse_pdu, pdu_length, whole_pdu
 from mbtool.modbus.tables import ADDRESSES
-from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 RESERVED = frozenset((9, 10, 13, 14, 41, 42, 91, 125, 126, 127))
 """The function codes that the standard reserves for old products of some companies (Application

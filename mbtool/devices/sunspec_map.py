@@ -10,16 +10,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus.tables import ADDRESSES
-from mbtool.modbus.transaction import Outcome
+from mbtool.modbus.transaction import Outcome, Transaction
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
     from mbtool.devices.values import PointInstance
-    from mbtool.modbus.transaction import Transaction
 
 # The code below remembers the scale factors that slaves have in registers.
 #

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,8 +11,6 @@ from msgspec import inspect
 from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import msgspec
 
 TIME = "time"

@@ -9,22 +9,20 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import msgspec
 
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.serial_format import Silence
-from mbtool.devices.model import WORD_BITS, Access, Area, Point, Profile
+from mbtool.devices.model import WORD_BITS, Access, Area, FunctionRule, Point, Profile
 from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.devices.values import PointInstance
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS, WRITE_LIMIT_17H, function_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices.model import FunctionRule
     from mbtool.modbus.tables import Table
 
 # The code below checks that no text of a profile has control characters.

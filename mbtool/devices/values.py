@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
@@ -22,15 +23,12 @@ from typing import TYPE_CHECKING, Literal
 from msgspec.structs import replace
 
 from mbtool.core.errors import UsageError
-from mbtool.devices.model import WORD_BITS, Access, Point
+from mbtool.devices.model import WORD_BITS, Access, Point, Profile
 from mbtool.devices.named_transaction import PointValue
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.references import write_reference
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.devices.model import Profile
     from mbtool.modbus.tables import Table
 
 _MAX_CACHED = 256

@@ -14,11 +14,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.named_transaction import NamedTransaction, PointValue
 
 

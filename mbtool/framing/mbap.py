@@ -40,9 +40,8 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, Origin
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
 from mbtool.modbus.adu import (
@@ -56,9 +55,6 @@ from mbtool.modbus.adu import (
     mbap_size,
 )
 from mbtool.modbus.pdu import pdu_length
-
-if TYPE_CHECKING:
-    from mbtool.core import Origin
 
 MIN_LENGTH = 2
 MAX_LENGTH = 1 + MAX_PDU

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from array import array
+from collections.abc import Iterable, Sequence
+from functools import cache
+from itertools import accumulate
+from operator import getitem, xor
 
-from mbtool.core import EventKind
+from mbtool.core import Direction, EventKind
 from mbtool.modbus.adu import (
     CRC_BYTES,
     CRC_TABLE,
@@ -14,11 +18,6 @@ from mbtool.modbus.adu import (
     crc,
 )
 from mbtool.modbus.pdu import LAYOUTS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.core import Direction
 
 MIN_FRAME = 4
 """The least size of an RTU frame in bytes: unit, function code and CRC."""
@@ -78,47 +77,18 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
     count_at = _COUNT_AT[direction][code]
     if count_at:
         return count_at + 1 + start[count_at] + CRC_BYTES if len(start) > count_at else None
+    if code not in _VARIABLE:
+        return 0
     length = LAYOUTS[direction][code].length(start, 1)
     return length + RTU_EXTRA_BYTES if length else length
 
 
 def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
-    """True if `data` contains a frame with a correct CRC, at any offset.
+    """True if `data`, at most MAX_SUMMED bytes, contains a frame with a correct CRC, at any offset.
 
     The frame must have the size that its function tells for one of `directions`.
     """
-    directions = tuple(directions)
-    return any(begins_frame(data, offset, directions) for offset in range(len(data)))
-
-
-def begins_frame(data: bytes, offset: int, directions: Iterable[Direction]) -> bool:
-    """True if a frame with a correct CRC begins at an offset of `data`.
-
-    The frame must have the size that its function tells for one of `directions`.
-    """
-    most = len(data) - offset
-    if most < MIN_FRAME:
-        return False
-    code = data[offset + 1]
-    for direction in directions:
-        size = _FIXED[direction][code]
-        if not size and code in _VARIABLE:
-            size = frame_size(data[offset : offset + MAX_RTU_ADU], direction) or 0
-        if size and size <= most and crc(data[offset : offset + size]) == 0:
-            return True
-    return False
-
-
-def frame_starts(data: bytes, first: int, end: int, directions: Iterable[Direction]) -> list[bool]:
-    """For each offset from `first` up to `end`, return True if a frame begins there.
-
-    `begins_frame` defines what a frame is.
-    """
-    last = len(data) - MIN_FRAME
-    return [
-        offset <= last and data[offset + 1] in _MEASURED and begins_frame(data, offset, directions)
-        for offset in range(first, end)
-    ]
+    return any(CrcSums(data).frame_starts(0, len(data), tuple(directions)))
 
 
 def is_frame_between(data: bytes, cuts: Sequence[int]) -> bool:
@@ -131,22 +101,91 @@ def is_frame_between(data: bytes, cuts: Sequence[int]) -> bool:
     return any(b - a >= MIN_FRAME and crc(data[a:b]) == 0 for a, b in bursts)
 
 
-def crc_ends(start: bytes, most: int) -> list[int]:
-    """Return the sizes, in bytes, at which a frame that begins with `start` has a correct CRC.
+class CrcSums:
+    """Tells which pieces of some bytes, at most MAX_SUMMED of them, have a correct CRC."""
 
-    Only the smallest ones are returned, at most `most`, in order. One in 65,536 sizes has a correct
-    CRC by chance. Where the CRC is correct and a byte 00 follows, it is also correct one byte
-    further.
-    """
-    sizes = []
-    residue = crc(start[: MIN_FRAME - 1])
-    for size, byte in enumerate(start[MIN_FRAME - 1 :], MIN_FRAME):
-        residue = CRC_TABLE[(residue ^ byte) & 0xFF] ^ residue >> 8
-        if residue == 0:
-            sizes.append(size)
-            if len(sizes) == most:
+    # A CRC is linear: the register behind a piece is the XOR of what its start value and each of
+    # its bytes become when the register is moved on by the bytes behind them. If all are moved
+    # back to the first byte instead, one running XOR of all bytes serves every piece: a piece is
+    # correct if the XOR of its bytes equals its start value, moved back.
+
+    __slots__ = ("_data", "_starts", "_sums")
+
+    def __init__(self, data: bytes) -> None:
+        rows, self._starts = _moved_back()
+        self._data = data
+        self._sums = list(accumulate(map(getitem, rows, data), xor, initial=0))
+        """For each offset, the XOR of the bytes before it."""
+
+    def is_correct(self, first: int, end: int) -> bool:
+        """True if the bytes from offset `first` up to `end` end with their CRC."""
+        return self._sums[end] == self._sums[first] ^ self._starts[first]
+
+    def frame_starts(self, first: int, end: int, directions: Iterable[Direction]) -> list[bool]:
+        """For each offset from `first` up to `end`, return True if a frame begins there.
+
+        The frame has a correct CRC, and the size that its function tells for one of `directions`.
+        """
+        data, sums, have = self._data, self._sums, len(self._data)
+        found = [False] * (end - first)
+        for offset in range(first, min(end, have - MIN_FRAME + 1)):
+            code = data[offset + 1]
+            if code not in _MEASURED:
+                continue
+            wanted = sums[offset] ^ self._starts[offset]
+            for direction in directions:
+                stop = offset + _FIXED[direction][code]
+                if stop == offset and code in _VARIABLE:
+                    head = data[offset : offset + MAX_RTU_ADU]
+                    stop = offset + (frame_size(head, direction) or 0)
+                if offset < stop <= have and sums[stop] == wanted:
+                    found[offset - first] = True
+        return found
+
+    def sizes(self, first: int, most: int) -> list[int]:
+        """Return the sizes, in bytes, at which a frame that begins at `first` has a correct CRC.
+
+        Only the smallest ones are returned, at most `most`, in order. One in 65,536 sizes has a
+        correct CRC by chance. Where the CRC is correct and a byte 00 follows, it is also correct
+        one byte further.
+        """
+        last = min(first + MAX_RTU_ADU, len(self._data))
+        sums, wanted = self._sums, self._sums[first] ^ self._starts[first]
+        found: list[int] = []
+        end = first + MIN_FRAME - 1
+        while len(found) < most:
+            try:
+                end = sums.index(wanted, end + 1, last + 1)
+            except ValueError:
                 break
-    return sizes
+            found.append(end - first)
+        return found
+
+
+MAX_SUMMED = 2 * MAX_RTU_ADU
+
+
+@cache
+def _moved_back() -> tuple[list[array[int]], list[int]]:
+    """For each offset up to MAX_SUMMED, return what each byte, and the start value of a CRC, become
+    when the register is moved back by as many bytes. Takes 10 ms and 300 KB.
+    """
+    low_bytes = {value >> 8: low for low, value in enumerate(CRC_TABLE)}
+
+    def back(register: int) -> int:
+        low = low_bytes[register >> 8]
+        return low | (register ^ CRC_TABLE[low] & 0xFF) << 8 & 0xFFFF
+
+    start, bits = 0xFFFF, [1 << bit for bit in range(8)]
+    rows, starts = [], []
+    for _ in range(MAX_SUMMED + 1):
+        row = [0]
+        for bit in bits:
+            row += [bit ^ other for other in row]
+        rows.append(array("H", row))
+        starts.append(start)
+        start, bits = back(start), [back(bit) for bit in bits]
+    return rows, starts
 
 
 def why_skipped(

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import TYPE_CHECKING
 
+from mbtool.core import Direction, Origin
 from mbtool.framing.rtu_lengths import frame_size, why_skipped
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
@@ -28,9 +28,6 @@ from mbtool.modbus.adu import (
     crc,
 )
 from mbtool.modbus.pdu import LAYOUTS
-
-if TYPE_CHECKING:
-    from mbtool.core import Direction, Origin
 
 
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:

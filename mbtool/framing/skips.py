@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from mbtool.core import EventKind
 from mbtool.modbus.adu import Adu, Checksum, Skipped
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Reason = tuple[EventKind, str, Checksum | None]
 """The kind of the event for skipped bytes, the reason in one sentence, and the wrong CRC or LRC if

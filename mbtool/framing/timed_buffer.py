@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
+
+from mbtool.core import Origin
 
 if TYPE_CHECKING:
     import re
-    from collections.abc import Iterator
-
-    from mbtool.core import Origin
 
 
 class TimedBuffer:

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import select
 import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from mbtool.core import LinkError
+from mbtool.core import LinkError, TcpLink
 from mbtool.core.limits import LinkLimits
 from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import LONGEST_WAIT_S, RECONNECT_S, MasterLink, ReceivedResponse, TcpMaster
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.core import TcpLink
     from mbtool.modbus.response import ConnectionEnding
 
 

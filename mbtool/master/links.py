@@ -24,11 +24,13 @@ import select
 import socket
 import ssl
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple, Self
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS, duration
@@ -42,7 +44,7 @@ from mbtool.master.other_master import (
     NoPauseError,
     OtherMaster,
 )
-from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus import Adu, Skipped, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import MAX_PDU, DirectionBy, Transport
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.response import ConnectionEnding
@@ -54,10 +56,7 @@ from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.core import Endpoint, TargetTls
-    from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
 """Timeout for opening the first connection, in seconds."""
@@ -129,7 +128,7 @@ class Exchange(NamedTuple):
     """Bytes that came after the request and are no ADU, such as a frame with a wrong CRC."""
 
 
-class MasterLink(ABC):
+class MasterLink(ClosesOnExit):
     """Sends requests and receives responses. A context manager whose exit closes the link."""
 
     limits: LinkLimits
@@ -197,7 +196,7 @@ class MasterLink(ABC):
         response = self._response if self._is_answered(wait_ns) else None
         return Exchange(self._request, response, tuple(self._unread))
 
-    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:  # noqa: B027 - TCP: nothing to do
+    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:
         """Before the first request listen to a serial line, which another master may poll.
 
         Listens for `listen_ns` ns, or until each poll of the other master is known; 0 for not at
@@ -206,7 +205,7 @@ class MasterLink(ABC):
         speaks with other settings.
         """
 
-    def listen(self, time_ns: int) -> None:  # noqa: B027 - TCP: nothing to do
+    def listen(self, time_ns: int) -> None:
         """Hear another master of the line for a time (ns), to learn the pauses that it leaves."""
 
     def _await_turn(self, unit: int, pdu: bytes) -> int:
@@ -253,15 +252,6 @@ class MasterLink(ABC):
             raw=raw,
             transaction_id=transaction_id,
         )
-
-    @abstractmethod
-    def close(self) -> None: ...
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_master(

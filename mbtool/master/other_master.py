@@ -31,21 +31,15 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, LinkError
+from mbtool.core import Direction, LinkError, SerialLink
 from mbtool.core.moments import counted, duration
 from mbtool.devices import write_reference
-from mbtool.modbus import FUNCTIONS, Adu, function_name
+from mbtool.modbus import FUNCTIONS, Adu, Skipped, function_name
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mbtool.core import SerialLink
-    from mbtool.modbus import Skipped
 
 SILENT_LISTEN_NS = 1_000_000_000
 """A line on which nothing is heard for this long (ns) counts as free."""

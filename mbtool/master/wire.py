@@ -10,11 +10,13 @@ from __future__ import annotations
 import select
 import socket
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Sequence
 from errno import ETIMEDOUT
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple
 
-from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
+from mbtool.core import LinkError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, Patience, SerialMaster
@@ -31,11 +33,6 @@ from mbtool.modbus.adu import (
 from mbtool.modbus.expected_response import EXCEPTION_SIZE, ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.ports.host_names import why_failed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import LinkSpec
 
 _ASCII_END = b"\r\n"
 QUIET_NS = 300_000_000
@@ -84,7 +81,7 @@ class Heard(NamedTuple):
     lasted."""
 
 
-class Wire(ABC):
+class Wire(ClosesOnExit):
     """A link to one slave, for any bytes. A context manager whose exit closes it."""
 
     def __init__(self, timeout_ns: int) -> None:
@@ -122,17 +119,8 @@ class Wire(ABC):
         quiet_ns = max(QUIET_NS, QUIET_TIMES * self._longest_ns)
         return self.timeout_ns if awaited else min(self.timeout_ns, quiet_ns)
 
-    @abstractmethod
-    def close(self) -> None: ...
-
-    def renew(self) -> None:  # noqa: B027 - a serial line has no connections
+    def renew(self) -> None:
         """Open a new TCP connection in place of this one."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import msgspec
 from fastcrc import crc16
 
 from mbtool.core import Direction, EventKind, Origin
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MAX_PDU = 253
 MAX_RTU_ADU = 256

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from mbtool.core import Direction
 from mbtool.modbus.functions import (
@@ -15,13 +16,8 @@ from mbtool.modbus.functions import (
     WRITE_LIMIT_17H,
 )
 from mbtool.modbus.layouts import COIL_VALUES
-from mbtool.modbus.pdu import encode_pdu
+from mbtool.modbus.pdu import Pdu, encode_pdu
 from mbtool.modbus.tables import ADDRESSES, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.modbus.pdu import Pdu
 
 
 @dataclass(frozen=True, slots=True)

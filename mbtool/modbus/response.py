@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-from mbtool.core import EventKind
+from mbtool.core import EventKind, WireEvent
 from mbtool.modbus.adu import Transport, ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from mbtool.core import WireEvent
-    from mbtool.modbus.transaction import Transaction
+from mbtool.modbus.transaction import Outcome, Transaction
 
 # DamagedAnswers finds requests whose response came with a wrong CRC or LRC.
 #

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import contextmanager
+from functools import partial
 from threading import Lock
 from time import monotonic_ns
 from time import time_ns as system_ns  # noqa: TID251 - this is a clock
@@ -39,14 +40,10 @@ SLEW_NS = 1_000_000
 is taken as an error of measurement, not as a step."""
 
 
+passed_ns: Callable[[], int] = monotonic_ns
+"""Returns the time in ns since the machine was started."""
 if hasattr(time, "CLOCK_BOOTTIME"):
-
-    def passed_ns() -> int:
-        """The time in ns since the machine was started."""
-        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-
-else:
-    passed_ns = monotonic_ns
+    passed_ns = partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME)
 
 
 def _measured_ahead_ns() -> int:

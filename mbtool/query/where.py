@@ -120,7 +120,7 @@ class _Compiler:
     def __init__(self, text: str, source: str) -> None:
         """`text` is the expression of the user; `source` is the same as valid Python."""
         self._text = text
-        self._parsed = source
+        self._lines = [line.encode() for line in re.split(r"\r\n?|\n", source)]
 
     def condition(self, node: ast.expr, depth: int) -> Where:
         if not depth:
@@ -306,7 +306,10 @@ class _Compiler:
     def _number(self, node: ast.expr, number: float) -> Term:
         # Show the number as the user wrote it, because Python would write 1e999 as 1e309, and 1e5
         # as 100000.0.
-        text = _cut_text(ast.get_source_segment(self._parsed, node) or self._source(node))
+        text = self._source(node)
+        if node.lineno == node.end_lineno:
+            raw = self._lines[node.lineno - 1][node.col_offset : node.end_col_offset]
+            text = _cut_text(raw.decode())
         return Term(text=text, value=lambda _: number, kind=ValueKind.NUMBER, number=number)
 
     def _refused(self, why: str) -> UsageError:

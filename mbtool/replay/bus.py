@@ -18,6 +18,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,6 @@ from mbtool.replay.play_queue import PlayQueue
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.replay.clock import PlayClock
 
 

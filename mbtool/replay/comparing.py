@@ -32,13 +32,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted
-from mbtool.devices import Difference, Side, Span
+from mbtool.devices import Difference, Profile, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay.traffic import (
@@ -54,9 +54,6 @@ from mbtool.replay.traffic import (
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from mbtool.devices import Profile
     from mbtool.replay.connections import RecordedConnection
 
 # The code below tests whether two samples differ significantly: a rank test and a test of two

@@ -33,21 +33,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core.limits import MAX_OPEN_REQUESTS
+from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.replay.play_queue import PlayQueue
-from mbtool.replay.script import Action, ConnectionStep, Step
+from mbtool.replay.script import Action, ConnectionStep, Script, Step
 from mbtool.replay.traffic import Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core.limits import LinkLimits
     from mbtool.replay.clock import PlayClock
     from mbtool.replay.judging import ResponseJudge
-    from mbtool.replay.script import Script
 
 
 @dataclass(slots=True)

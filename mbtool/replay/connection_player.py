@@ -25,6 +25,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,6 @@ from mbtool.replay.connections import Beginning, RecordedConnection
 from mbtool.slave.device.connection_policy import Admission, ConnectionPolicy, Loss, Peer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from fractions import Fraction
 
     from mbtool.modbus.response import ConnectionEnding
@@ -69,6 +69,7 @@ class ConnectionPlayer(ConnectionPolicy):
     """Takes, refuses and ends live connections as the slave of a recording did."""
 
     closes_all = False
+    ends_some = True
 
     def __init__(
         self,

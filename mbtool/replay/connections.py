@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -16,8 +17,6 @@ from mbtool.core import CONNECTION_JOINED, ConnectionEnd, EventKind, WireEvent
 from mbtool.modbus.response import ConnectionEnding
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
     from mbtool.modbus import Transaction
     from mbtool.replay.timeline import TimeRange
 

@@ -17,18 +17,13 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.modbus import Outcome, Response, Transport, whole_pdu
+from mbtool.modbus import Outcome, Response, Transaction, Transport, whole_pdu
 from mbtool.modbus.functions import EXCEPTION_BIT, READS
 from mbtool.modbus.response import Distortion
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.modbus import Transaction
 
 RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))

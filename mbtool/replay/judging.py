@@ -33,15 +33,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.devices import Difference, Side, Span
+from mbtool.devices import Difference, Profile, Side, Span
 from mbtool.devices import DifferenceKind as Kind
-from mbtool.modbus import exception_name, parse_pdu, register_access
+from mbtool.modbus import RegisterAccess, exception_name, parse_pdu, register_access
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.replay.comparing import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.script import Step
@@ -49,10 +50,6 @@ from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
 from mbtool.replay.wording import DeviceWording, function_text, latency_side, values_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from mbtool.devices import Profile
-    from mbtool.modbus import RegisterAccess
     from mbtool.replay.tolerances import Tolerances
 
 SHOWN_BYTES = 16

@@ -21,6 +21,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from enum import Enum, StrEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -29,8 +30,6 @@ from mbtool.modbus import TABLE_FUNCTIONS, parse_pdu
 from mbtool.modbus.functions import EXCEPTION_BIT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.replay.recording import Key, RecordedAnswer, Recording
 
 

@@ -25,6 +25,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -46,14 +47,11 @@ from mbtool.modbus import ExceptionCode as _Code
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.latency import LatencyModel, RecordedLatency
 from mbtool.replay.matching import Found, MatchStrategy, Moment, NoAnswer, OnEnd, matcher_for
-from mbtool.replay.recording import RequestKind
+from mbtool.replay.recording import RecordedAnswer, Recording, RequestKind
 from mbtool.replay.steering import Control, Progress, Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.modbus import Pdu, RegisterAccess
-    from mbtool.replay.recording import RecordedAnswer, Recording
 
 # Keeps the values that the live master has written to a slave that is played from a recording.
 #

@@ -21,20 +21,18 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median_low
 from typing import TYPE_CHECKING, NamedTuple, Self
 
-from mbtool.core import Direction
+from mbtool.core import Direction, WireEvent
 from mbtool.modbus import Outcome, Table, parse_pdu, register_access, values_after, whole_pdu
 from mbtool.replay.damaged import DamagedAnswer, damaged_answers
 from mbtool.replay.timeline import Timeline, TimeRange
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]

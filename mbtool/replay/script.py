@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from sys import intern
@@ -30,8 +31,6 @@ from mbtool.modbus import Outcome, whole_pdu
 from mbtool.replay.connections import Beginning, RecordedConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
 
 

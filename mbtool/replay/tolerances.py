@@ -17,17 +17,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
-from mbtool.devices import Point, PointType, parse_span, write_reference
+from mbtool.devices import Point, PointType, Profile, Span, parse_span, write_reference
 from mbtool.devices.values import PointInstance
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from mbtool.devices import Profile, Span
     from mbtool.modbus import Table
 
 _AMOUNT = re.compile(r"(\d{1,15}(?:\.\d{1,15})?)(%?)|counter", re.ASCII | re.IGNORECASE)

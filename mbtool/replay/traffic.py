@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -36,8 +37,6 @@ from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.replay.connections import ConnectionHistory, RecordedConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices import NamedTransaction, Span
 
 MAX_VALUES = 256

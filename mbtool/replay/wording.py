@@ -4,17 +4,15 @@ responses.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from statistics import median_low
 from typing import TYPE_CHECKING, Self
 
-from mbtool.devices import Side, write_reference
+from mbtool.devices import Profile, Side, write_reference
 from mbtool.devices.values import PointInstance
 from mbtool.modbus import Table, short_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mbtool.devices import Profile
     from mbtool.replay.traffic import ObservedValues, Sample, ValueKey
 
 SHOWN_VALUES = 4

@@ -223,7 +223,7 @@ class BusModel:
             if pdu[0] in WRITE_SEVERAL or self._repeated_write is not None:
                 self._learn_whole_echo(unit, pdu)
             if history.unasked and classification.by is DirectionBy.FORM:
-                history.unasked = 0
+                history.unasked, history.hears_only_slaves = 0, False
             if is_sure:
                 # Ordinary polling teaches nothing here. Skipping it makes decoding 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
@@ -261,6 +261,7 @@ class BusModel:
         is_certain = classification.by is DirectionBy.FORM
         if is_certain and state.answered is None and not state.follows_damage:
             history.unasked = min(history.unasked + 1, ONE_SIDE)
+            history.hears_only_slaves = history.unasked == ONE_SIDE
 
     def _learn_whole_echo(self, unit: int, pdu: bytes) -> None:
         """Learn from a request that a write before it came exactly twice, with no other response.

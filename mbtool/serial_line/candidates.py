@@ -17,18 +17,19 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cache
-from itertools import accumulate, product
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.framing.rtu_lengths import MIN_FRAME, begins_frame, crc_ends, frame_size, frame_starts
-from mbtool.modbus.adu import MAX_RTU_ADU, RTU_EXTRA_BYTES, crc, crc_on
+from mbtool.framing.rtu_lengths import MIN_FRAME, CrcSums, frame_size
+from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU, RTU_EXTRA_BYTES, crc, crc_on
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.serial_line import costs
 from mbtool.serial_line.costs import is_counted
+from mbtool.serial_line.paths import Segment, SegmentKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -81,6 +82,7 @@ NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
 COUNTED = frozenset(b"\x0f\x10\x17")
 """The functions whose requests carry a quantity and a byte count."""
+_BITS = tuple(1 << bit for bit in range(8))
 _QUERY_DATA = b"\x08\x00\x00"
 """Function 08, sub-function 0 may carry any amount of data, and no byte tells how much
 (V1.1b3, 6.8.1)."""
@@ -112,11 +114,14 @@ class ByteWindow:
 class FrameCandidate(msgspec.Struct, gc=False):
     """A candidate: bytes of the window that are a frame with a correct CRC."""
 
-    size: int
-    role: Direction
-    roles: tuple[Direction, ...]
-    """The directions, `role` among them, that a frame of this function and size can have."""
+    segment: Segment
+    pdu: bytes
     cost: float
+    """In bits; with the cost of the silences inside the frame."""
+    start_ns: int
+    end_ns: int
+    inside_ns: int
+    """The longest silence inside the frame, in ns; 0 if none is as long as t3.5."""
     is_unbound: bool = False
     """True if only the frame's CRC tells where the frame ends."""
 
@@ -151,6 +156,12 @@ class _RangeCount:
         self._before = [0]
         """For each offset, the number of smaller offsets that have the property."""
 
+    def has(self, offset: int) -> bool:
+        before = self._before
+        if len(before) <= offset + 1:
+            return self.count(offset, offset + 1) > 0
+        return before[offset] != before[offset + 1]
+
     def count(self, first: int, end: int) -> int:
         if end <= first:
             return 0
@@ -178,6 +189,10 @@ class Candidates:
         self._model = bus_model
         self._statistics = statistics
         self._roles = roles
+        self._crcs = crcs = CrcSums(window.data)
+        self._sized: dict[int, tuple[bytes, list[tuple[Direction, int | None]]]] = {}
+        """By offset examined so far, the bytes there, as many as a frame can have, and the size
+        that they tell for each direction."""
         self._frames: dict[int, list[FrameCandidate]] = {}
         """By offset examined so far, the frames with a correct CRC that begin there."""
         self._ends: dict[int, list[int]] = {}
@@ -191,7 +206,7 @@ class Candidates:
         """By offset examined so far, the damaged frames that begin there and cost the same in every
         bus state."""
         self._all_frames = _RangeCount(
-            lambda first, end: frame_starts(window.data, first, end, roles), self._end
+            lambda first, end: crcs.frame_starts(first, end, roles), self._end
         )
         self._frames_after_silence = _RangeCount(
             lambda first, end: [
@@ -210,28 +225,28 @@ class Candidates:
         function of an earlier request, or a write whose byte count agrees with its quantity.
         """
         places = self._places
-        at = max(self._searched_to, offset)
-        while not places or places[-1] < offset:
-            if at >= self._end:
-                self._searched_to = at
-                return self._end
-            if self._is_place(at):
-                places.append(at)
-            at += 1
-        self._searched_to = at
-        return places[bisect_left(places, offset)]
+        if not places or places[-1] < offset:
+            self._find_place(max(self._searched_to, offset))
+        found = bisect_left(places, offset)
+        return places[found] if found < len(places) else self._end
 
-    def _is_place(self, offset: int) -> bool:
-        data, history = self._data, self._model.history
-        if self._window.silences[offset]:
-            return True
-        if data[offset] in history.units and history.has_function(data[offset : offset + 2]):
-            return True
-        if offset + MIN_FRAME > self._end:
-            return False
-        if data[offset + 1] in COUNTED and is_counted(data[offset + 1 : offset + MAX_RTU_ADU]):
-            return True
-        return self._all_frames.count(offset, offset + 1) > 0
+    def _find_place(self, first: int) -> None:
+        """Add the first place from an offset on to the known ones."""
+        data, history, silences = self._data, self._model.history, self._window.silences
+        units, functions, end = history.units, history.functions, self._end
+        starts = self._all_frames
+        for at in range(first, end):
+            unit, code = data[at], data[at + 1] if at + 1 < end else None
+            if (
+                silences[at]
+                or (unit in units and (code is None or (unit, code & ~EXCEPTION_BIT) in functions))
+                or (code in COUNTED and is_counted(data[at + 1 : at + MAX_RTU_ADU]))
+                or starts.has(at)
+            ):
+                self._places.append(at)
+                self._searched_to = at + 1
+                return
+        self._searched_to = end
 
     def split_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of the silences of t3.5 inside the `size` bytes of a frame."""
@@ -239,13 +254,6 @@ class Candidates:
         if not silences:
             return 0.0
         return self._statistics.split.bits + (silences - 1) * costs.SPLIT_MORE
-
-    def longest_silence_ns(self, offset: int, size: int) -> int:
-        """Return the longest silence (ns) inside the `size` bytes; 0 if none is as long as t3.5."""
-        if self._silences[offset + size] == self._silences[offset + 1]:
-            return 0
-        times = self._window.times[offset : offset + size]
-        return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
     def inside_cost(self, offset: int, size: int, *, known: bool = True) -> float:
         """Return the cost, in bits, of silences and other frames inside the bytes of a frame."""
@@ -273,7 +281,7 @@ class Candidates:
         if self.frames(offset):
             return True
         burst = self._burst_size(offset)
-        return burst >= MIN_FRAME and crc(self._data[offset : offset + burst]) == 0
+        return burst >= MIN_FRAME and self._crcs.is_correct(offset, offset + burst)
 
     def frames(self, offset: int) -> list[FrameCandidate]:
         """Return the frames at an offset with a correct CRC and the size their function tells."""
@@ -284,50 +292,82 @@ class Candidates:
 
     def _find_frames(self, offset: int) -> list[FrameCandidate]:
         frames: list[FrameCandidate] = []
-        if not begins_frame(self._data, offset, self._roles):
+        if not self._all_frames.has(offset):
             return frames
-        head = self._data[offset : offset + MAX_RTU_ADU]
-        have = len(head)
-        sizes = [(role, frame_size(head, role)) for role in self._roles]
+        head, sizes = self._sizes(offset)
         for role, size in sizes:
-            if size and size <= have and crc(head[:size]) == 0:
+            if size and size <= len(head) and self._crcs.is_correct(offset, offset + size):
                 malformed = parse_pdu(head[1 : size - 2], role).problem is not None
                 roles = tuple(other for other, same in sizes if same == size)
                 cost = costs.MALFORMED if malformed else 0.0
-                frames.append(FrameCandidate(size, role, roles, cost))
+                frames.append(self.frame(offset, size, role, roles, cost))
         return frames
+
+    def frame(
+        self,
+        offset: int,
+        size: int,
+        role: Direction,
+        roles: tuple[Direction, ...],
+        cost: float,
+        *,
+        is_unbound: bool = False,
+    ) -> FrameCandidate:
+        """Return the candidate of `size` bytes, with the cost of the silences inside it."""
+        end, inside_ns = offset + size, 0
+        if self._silences[end] != self._silences[offset + 1]:
+            cost += self.split_cost(offset, size)
+            inside = self._window.times[offset:end]
+            inside_ns = max(map(int.__sub__, inside[1:], inside)) - self._window.character_ns
+        segment = Segment(SegmentKind.FRAME, offset, size, role, roles)
+        pdu, times = self._data[offset + 1 : end - CRC_BYTES], self._window.times
+        start_ns = times[offset] - self._window.character_ns
+        return FrameCandidate(segment, pdu, cost, start_ns, times[end - 1], inside_ns, is_unbound)
+
+    def _sizes(self, offset: int) -> tuple[bytes, list[tuple[Direction, int | None]]]:
+        """Return the bytes at an offset, as many as a frame can have, and by direction the size of
+        the frame that begins with them (`frame_size`).
+        """
+        sized = self._sized.get(offset)
+        if sized is None:
+            head = self._data[offset : offset + MAX_RTU_ADU]
+            sized = head, [(role, frame_size(head, role)) for role in self._roles]
+            self._sized[offset] = sized
+        return sized
+
+    def is_unknown(self, offset: int) -> bool:
+        """True if no byte at an offset tells the size of a frame that begins there."""
+        return all(size == 0 for _, size in self._sizes(offset)[1])
 
     def unknown_frames(self, offset: int) -> Iterator[FrameCandidate]:
         """Yield frames at an offset with a correct CRC whose function does not tell their size."""
-        head = self._data[offset : offset + MAX_RTU_ADU]
-        if len(head) >= MIN_FRAME:
+        if offset + MIN_FRAME <= self._end:
             burst = self._burst_size(offset) if self._window.silences[offset] else 0
-            yield from self._whole_burst(offset, head, burst)
-            yield from self._ended_by_crc(offset, head, burst)
+            yield from self._whole_burst(offset, burst)
+            yield from self._ended_by_crc(offset, burst)
 
-    def _whole_burst(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
+    def _whole_burst(self, offset: int, burst: int) -> Iterator[FrameCandidate]:
         """Yield the `burst` bytes at `offset`, if their CRC is correct, as a frame for each role.
 
         `burst` is the number of bytes from one silence to the next; 0 if no silence precedes them.
         """
-        if burst < MIN_FRAME or crc(head[:burst]) != 0:
+        if burst < MIN_FRAME or not self._crcs.is_correct(offset, offset + burst):
             return
-        for role in self._roles:
-            known_size = frame_size(head, role)
+        head, sizes = self._sizes(offset)
+        for role, known_size in sizes:
             is_longer = head[1:4] == _QUERY_DATA and burst > (known_size or burst)
             odd = costs.MALFORMED if known_size and not is_longer else 0.0
             cost = costs.UNKNOWN_FORM_BURST + odd + self._zero_end_cost(offset, burst)
-            yield FrameCandidate(burst, role, self._roles, cost)
+            yield self.frame(offset, burst, role, self._roles, cost)
 
-    def _ended_by_crc(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
+    def _ended_by_crc(self, offset: int, burst: int) -> Iterator[FrameCandidate]:
         """Yield frames of unknown size that end where the CRC is correct.
 
         The frame that fills the whole burst (`burst` bytes between two silences) is left out.
         """
+        head, sizes = self._sizes(offset)
         is_query = head[1:4] == _QUERY_DATA
-        roles = [
-            role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
-        ]
+        roles = [role for role, size in sizes if is_query or (head[1] and size == 0)]
         ends = self._unknown_ends(offset) if roles else []
         for size in ends:
             if size == burst:
@@ -340,7 +380,7 @@ class Candidates:
             cost += costs.UNKNOWN_FORM_BURST if is_burst else costs.UNKNOWN_FORM
             cost += self._zero_end_cost(offset, size)
             for role in roles:
-                yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
+                yield self.frame(offset, size, role, self._roles, cost, is_unbound=not is_burst)
 
     def _unknown_ends(self, offset: int) -> list[int]:
         """Return the sizes up to which the bytes at an offset have a correct CRC, the least first,
@@ -348,8 +388,7 @@ class Candidates:
         """
         ends = self._ends.get(offset)
         if ends is None:
-            head = self._data[offset : offset + MAX_RTU_ADU]
-            ends = self._ends[offset] = list(crc_ends(head, MAX_UNKNOWN_ENDS))
+            ends = self._ends[offset] = self._crcs.sizes(offset, MAX_UNKNOWN_ENDS)
         return ends
 
     def _chained(self, offset: int, end: int) -> int:
@@ -368,6 +407,8 @@ class Candidates:
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
         """Return the cost, in bits, of supposing that bytes 00 at a frame's end belong to it."""
+        if self._data[offset + size - 1]:
+            return 0.0
         raw = self._data[offset : offset + size]
         zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
         if not zeros:
@@ -383,41 +424,43 @@ class Candidates:
                 return size
         return 0
 
-    def damaged(self, offset: int, state: BusState) -> Iterator[DamagedCandidate]:
-        """Yield damaged frames that may begin at an offset where no correct frame begins."""
-        head = self._data[offset : offset + MAX_RTU_ADU]
-        if len(head) < MIN_FRAME:
-            return
-        for role in self._roles:
-            size = frame_size(head, role)
+    def damaged(self, offset: int, state: BusState) -> list[DamagedCandidate]:
+        """Return damaged frames that may begin at an offset where no correct frame begins."""
+        found: list[DamagedCandidate] = []
+        if offset + MIN_FRAME > self._end:
+            return found
+        head, sizes = self._sizes(offset)
+        for role, size in sizes:
             if size and size <= MAX_RTU_ADU:
-                yield from self._damaged_as(offset, head, size, role, state)
+                found += self._damaged_as(offset, head, size, role, state)
         stateless = self._stateless.get(offset)
         if stateless is None:
             stateless = self._stateless[offset] = [
-                *self._repaired_same_size(offset, head),
-                *self._repaired_other_size(offset, head),
+                *self._repaired_frames(offset),
                 *self._damaged_burst(offset),
             ]
-        yield from stateless
+        return found + stateless
 
     def _damaged_as(
         self, offset: int, head: bytes, size: int, role: Direction, state: BusState
-    ) -> Iterator[DamagedCandidate]:
-        """Yield the damaged frames of direction `role` that had `size` bytes when they were sent.
+    ) -> list[DamagedCandidate]:
+        """Return the damaged frames of direction `role` that had `size` bytes when they were sent.
 
         Only a frame that the bus state expects is also tried with one or two lost bytes.
         """
+        found = []
         expected, cost = self._expectation(head, size, role, state)
         if not expected:
             cost += costs.UNEXPECTED_DAMAGED
         cost += costs.DAMAGED + size * costs.SKIP_PER_BYTE
-        if size <= len(head) and crc(head[:size]) != 0:
-            yield DamagedCandidate(size, cost + self.inside_cost(offset, size, known=expected))
+        if size <= len(head) and not self._crcs.is_correct(offset, offset + size):
+            inside = self.inside_cost(offset, size, known=expected)
+            found.append(DamagedCandidate(size, cost + inside))
         for lost in LOST_BYTES if expected else ():
             if MIN_FRAME <= size - lost <= len(head):
                 more = costs.DAMAGED_OTHER_SIZE + self.inside_cost(offset, size - lost)
-                yield DamagedCandidate(size - lost, cost + more)
+                found.append(DamagedCandidate(size - lost, cost + more))
+        return found
 
     def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
         """Yield all bytes up to the next silence as one frame, as if its function or byte count,
@@ -435,35 +478,40 @@ class Candidates:
             cost += min(burst * costs.SKIP_PER_BYTE, costs.MAX_DAMAGED_LENGTH)
             yield DamagedCandidate(burst, cost)
 
-    def _repaired_same_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
-        """Yield frames with one wrong bit that does not change their size."""
-        for role in self._roles:
-            size = frame_size(head, role)
-            if size and size <= len(head):
+    def _repaired_frames(self, offset: int) -> list[DamagedCandidate]:
+        """Return frames with one wrong bit.
+
+        If the bit is in function or byte count, which falsifies the size, only functions that were
+        requested of the frame's unit are tried: with all functions, such frames would be found
+        everywhere.
+        """
+        found = []
+        history = self._model.history
+        head, sizes = self._sizes(offset)
+        have = len(head)
+        for role, size in sizes:
+            if size and size <= have:
                 whole = repaired(head[:size])
                 if whole is not None and frame_size(whole, role) == size:
-                    yield self._repaired(offset, whole, role)
-
-    def _repaired_other_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
-        """Yield frames with one wrong bit in function or byte count, which falsifies their size.
-
-        Only functions that were requested of the frame's unit are tried: with all functions, such
-        frames would be found everywhere.
-        """
-        history = self._model.history
-        if not history.has_function(head[:1]):
-            return
-        for at, bit in product((1, 2), range(8)):
-            start = head[:at] + bytes([head[at] ^ 1 << bit])
-            if not history.has_function(start[:2]):
-                continue
-            whole = start + head[at + 1 :]
-            for role in self._roles:
+                    found.append(self._repaired(offset, whole, role))
+        unit, code = head[0], head[1]
+        if unit not in history.units:
+            return found
+        others = [
+            head[:1] + bytes((code ^ bit,)) + head[2:]
+            for bit in _BITS
+            if (unit, (code ^ bit) & ~EXCEPTION_BIT) in history.functions
+        ]
+        if (unit, code & ~EXCEPTION_BIT) in history.functions:
+            others += [head[:2] + bytes((head[2] ^ bit,)) + head[3:] for bit in _BITS]
+        for whole in others:
+            for role, size_now in sizes:
                 size = frame_size(whole, role)
-                if not size or not MIN_FRAME <= size <= len(head):
+                if not size or size == size_now or not MIN_FRAME <= size <= have:
                     continue
-                if size != frame_size(head, role) and crc(whole[:size]) == 0:
-                    yield self._repaired(offset, whole[:size], role)
+                if crc(whole[:size]) == 0:
+                    found.append(self._repaired(offset, whole[:size], role))
+        return found
 
     def _repaired(self, offset: int, whole: bytes, role: Direction) -> DamagedCandidate:
         size = len(whole)
@@ -478,14 +526,14 @@ class Candidates:
         has a correct CRC without that byte too. So if just that byte is lost, the rest may look
         like a whole response.
         """
-        head = self._data[offset : offset + MAX_RTU_ADU]
-        size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
+        head, sizes = self._sizes(offset)
+        size = dict(sizes).get(Direction.REQUEST)
         if not size or (head[0], head[1 : size - 2]) not in self._model.history.requests:
             return
         cost = costs.DAMAGED + costs.EXPECTED_CONTENT + size * costs.SKIP_PER_BYTE
-        if size <= len(head) and crc(head[:size]) != 0:
+        if size <= len(head) and not self._crcs.is_correct(offset, offset + size):
             yield DamagedCandidate(size, cost + self.split_cost(offset, size))
-        if size - 1 <= len(head) and crc(head[: size - 1]) == 0:
+        if size - 1 <= len(head) and self._crcs.is_correct(offset, offset + size - 1):
             cost += costs.DAMAGED_OTHER_SIZE
             yield DamagedCandidate(size - 1, cost + self.split_cost(offset, size - 1))
 
@@ -506,7 +554,7 @@ class Candidates:
         """
         end = offset + size
         return any(
-            at + frame.size == end
+            at + frame.segment.size == end
             for at in range(offset + 1, end - MIN_FRAME + 1)
             for frame in self.frames(at)
         )
@@ -538,18 +586,18 @@ class Candidates:
             return None
         if rest < 2:
             return False, costs.INCOMPLETE
-        head = self._data[offset:]
+        head, sizes = self._sizes(offset)
         best: tuple[bool, float] | None = None
-        for role in self._roles:
-            one = self._incomplete_as(head, role, state)
+        for role, size in sizes:
+            one = self._incomplete_as(head, size, role, state)
             if one is not None and (best is None or one[1] < best[1]):
                 best = one
         return best
 
     def _incomplete_as(
-        self, head: bytes, role: Direction, state: BusState
+        self, head: bytes, size: int | None, role: Direction, state: BusState
     ) -> tuple[bool, float] | None:
-        size, rest = frame_size(head, role), len(head)
+        rest = len(head)
         if size is None or rest < size <= MAX_RTU_ADU:
             expected, cost = self._expectation(head, size or 0, role, state)
             if role is Direction.REQUEST:

@@ -186,11 +186,17 @@ def _new_request_cost(pdu: bytes) -> float:
     return costs.NEW_REQUEST
 
 
-@lru_cache(REMEMBERED)
 def _breaks_limits(pdu: bytes) -> bool:
     """True if a frame has the form of a request, and asks for more than the standard allows."""
+    has_form, keeps = _as_request(pdu)
+    return has_form and not keeps
+
+
+@lru_cache(REMEMBERED)
+def _as_request(pdu: bytes) -> tuple[bool, bool]:
+    """Return if a PDU has the form of a request, and if as a request it keeps the limits."""
     request = parse_pdu(pdu, Direction.REQUEST)
-    return request.problem is None and not keeps_limits(request)
+    return request.problem is None, keeps_limits(request)
 
 
 def _response_cost(
@@ -339,13 +345,13 @@ def _is_only_a_response(
     That is so if the frame fits the pending request as its response, and its contents are
     implausible in a request or were never heard in one.
     """
-    if pending is None or pdu == pending.pdu:
+    if pending is None or pdu[0] not in FUNCTIONS or pdu == pending.pdu:
         return False
     if not pending.fits(unit, pdu):
         return _is_malformed_response(pending, unit, pdu)
-    if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
+    if pdu_length(pdu, Direction.REQUEST) != len(pdu):
         return False
-    if is_implausible_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
+    if is_implausible_request(pdu) or not _as_request(pdu)[1]:
         return True
     if (unit, pdu) in history.requests or pending.expected.size != len(pdu):
         return False
@@ -359,7 +365,7 @@ def _is_malformed_response(pending: PendingRequest, unit: int, pdu: bytes) -> bo
     """True if a frame answers the pending request with a wrong byte count, and is out of the
     standard's limits as a request: 03 03 123400 to a read of one register.
     """
-    is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0] and pdu[0] in FUNCTIONS
+    is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0]
     if not is_of_request or pdu_length(pdu, Direction.RESPONSE) != len(pdu):
         return False
     return _breaks_limits(pdu)

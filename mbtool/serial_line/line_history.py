@@ -88,11 +88,9 @@ class LineHistory:
         self.unasked = 1
         """The number of responses, certain by their form, that nobody requested and that had no
         damaged bytes before them, since the last request that was certain by its form."""
-
-    @property
-    def hears_only_slaves(self) -> bool:
-        """True if only the slaves are heard, as on one pair of a four-wire line."""
-        return self.unasked >= ONE_SIDE
+        self.hears_only_slaves = False
+        """True if only the slaves are heard, as on one pair of a four-wire line: ONE_SIDE responses
+        were `unasked`."""
 
     @property
     def may_hear_only_slaves(self) -> bool:

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from itertools import groupby, takewhile
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-class SegmentKind(Enum):
+class SegmentKind(StrEnum):
     """The meaning that a path gives to the bytes of a segment."""
 
     FRAME = "frame"

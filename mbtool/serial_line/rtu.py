@@ -13,8 +13,9 @@
 #    bytes are returned. Frames in the last 256 bytes are returned if every explanation of the
 #    window contains them.
 #
-# A search stops at a frame behind which only one explanation is left, and the fast path goes on
-# there. So its work grows with the number of unclear places, not with the number of bytes.
+# A search stops at a frame behind which only one explanation is left, if the function of the next
+# frame tells its size, and the fast path goes on there. So its work grows with the number of
+# unclear places, not with the number of bytes.
 #
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the

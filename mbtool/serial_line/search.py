@@ -20,16 +20,20 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME
-from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU
+from mbtool.modbus.adu import MAX_RTU_ADU
 from mbtool.modbus.functions import EXCEPTION_BIT, WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
 from mbtool.serial_line.bus_state import DOUBT_BITS, BusState
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow, Candidates, FrameCandidate
+from mbtool.serial_line.frame_costs import frame_cost
 from mbtool.serial_line.paths import (
     Path,
     Segment,
@@ -115,7 +119,7 @@ class PathSearch:
         ends, incomplete = self._paths.get(self._end, []), self._incomplete
         for path in ends:
             path.cost += self._model.silence_cost(path.state, is_last=True)
-        ends.sort(key=lambda path: path.cost)
+        ends.sort(key=_cost)
         self.settled_size = common_end(ends) if incomplete is None else 0
         if incomplete is None or (ends and ends[0].cost < incomplete.cost):
             segments = list(with_confidence(ends))
@@ -128,7 +132,8 @@ class PathSearch:
     def _extend_all(self) -> Path | None:
         """Extend the paths at each offset by the frames and skipped bytes that may follow there.
 
-        Stops and returns a path if it is the only one left and ends with enough whole frames.
+        Stops and returns a path if it is the only one left and ends with enough whole frames,
+        unless a frame of an unknown function may follow: the fast path could not go on there.
         """
         skipped = int(self._window.is_behind_noise)
         first = Path(0.0, self._model.state, None, None, skipped, ends_frame=not skipped)
@@ -136,19 +141,21 @@ class PathSearch:
         self._lowest_costs[0] = 0.0
         for bits, state in () if self._is_narrow else self._model.states[1:]:
             self._paths[0].append(Path(bits, state, first, None, skipped, ends_frame=not skipped))
-        for offset in range(self._end):
-            paths = self._paths.pop(offset, None)
+        lowest = self._lowest_costs
+        while self._paths and (offset := min(self._paths)) < self._end:
+            paths = self._paths.pop(offset)
+            limit = self._incomplete_limit + costs.INCOMPLETE_MARGIN
+            for end in self._paths:
+                if end <= offset + MAX_RTU_ADU and lowest[end] + self._margin < limit:
+                    limit = lowest[end] + self._margin
+            self._limit = limit
+            limit = min(limit, lowest[offset] + self._margin)
+            paths = [path for path in paths if path.cost <= limit]
+            is_only = len(paths) == 1 and not self._paths and self._is_settled(paths[0])
+            if is_only and not self._candidates.is_unknown(offset):
+                return paths[0]
             if paths:
-                ends = [end for end in self._paths if end <= offset + MAX_RTU_ADU]
-                ahead = min((self._lowest_costs[end] for end in ends), default=float("inf"))
-                beside = self._incomplete_limit + costs.INCOMPLETE_MARGIN
-                self._limit = min(ahead + self._margin, beside)
-                limit = min(self._limit, self._lowest_costs[offset] + self._margin)
-                paths = [path for path in paths if path.cost <= limit]
-                if len(paths) == 1 and not self._paths and self._is_settled(paths[0]):
-                    return paths[0]
-                if paths:
-                    self._extend(offset, paths)
+                self._extend(offset, paths)
         return None
 
     def _is_settled(self, path: Path) -> bool:
@@ -202,27 +209,32 @@ class PathSearch:
         """
         if path.cost > self._limit:
             return
-        paths = self._paths.setdefault(offset, [])
+        if path.cost < self._lowest_costs[offset]:
+            self._lowest_costs[offset] = path.cost
+            if path.cost + self._margin < self._limit:
+                self._limit = path.cost + self._margin
+        paths = self._paths.get(offset)
+        if paths is None:
+            self._paths[offset] = [path]
+            return
+        is_behind_skipped = path.skipped > 0
         for index, other in enumerate(paths):
-            if bool(other.skipped) == bool(path.skipped) and other.state == path.state:
+            if (other.skipped > 0) is is_behind_skipped and other.state == path.state:
                 better, worse = (path, other) if path.cost < other.cost else (other, path)
                 if worse.cost - better.cost < DOUBT_BITS:
                     better.rivals = (*better.rivals, worse)
                 paths[index] = better
-                break
-        else:
-            paths.append(path)
-            if len(paths) > (1 if self._is_narrow else BEAM_WIDTH):
-                self._drop(max(paths, key=lambda one: one.cost), paths)
-        if path.cost < self._lowest_costs[offset]:
-            self._lowest_costs[offset] = path.cost
-            self._limit = min(self._limit, path.cost + self._margin)
+                return
+        paths.append(path)
+        if self._is_narrow or len(paths) > BEAM_WIDTH:
+            self._drop(paths)
 
-    def _drop(self, worst: Path, paths: list[Path]) -> None:
+    def _drop(self, paths: list[Path]) -> None:
         """Remove the path that costs most; in a narrow search, it stays a rival of the best one."""
+        worst = max(paths, key=_cost)
         paths.remove(worst)
         if self._is_narrow:
-            best = min(paths, key=lambda one: one.cost)
+            best = paths[0]
             if worst.cost - best.cost < DOUBT_BITS:
                 best.rivals = (*best.rivals, worst)
 
@@ -236,19 +248,25 @@ class PathSearch:
         for path in paths:
             state = path.state
             start_cost = glued_cost
-            if self._is_silence_hidden(path, offset):
+            if 0 < path.skipped < LONG_SKIP and self._is_silence_hidden(path, offset):
                 start_cost = min(glued_cost, costs.GLUED)
             is_damage = path.skipped >= LONG_SKIP and not self._is_speaker_known
             if is_damage and not state.follows_damage:
                 state = state.after_damage()
-            known = frames if self._is_speaker_known else self._with_echoes(offset, frames, state)
-            for frame in known:
-                is_behind = path.skipped and self._window.silences[offset + frame.size]
+            for frame in self._with_echoes(offset, frames, state) if frames else ():
+                is_behind = path.skipped and self._window.silences[offset + frame.segment.size]
                 cost = min(start_cost, costs.BEHIND_NOISE) if is_behind else start_cost
-                self._add_frame(offset, path, state, frame, cost)
-            if path in likely:
+                self._add_frame(path, state, frame, frame.cost + cost)
+            if unknown and path in likely:
+                is_due = self._is_response_due(path, offset) or state.has_recent_request(
+                    self._data[offset], self._data[offset + 1]
+                )
+                due_cost = costs.UNKNOWN_FORM_DUE - costs.UNKNOWN_FORM if is_due else 0.0
                 for frame in unknown:
-                    self._add_frame(offset, path, state, frame, start_cost)
+                    cost = frame.cost + start_cost
+                    self._add_frame(
+                        path, state, frame, cost + due_cost if frame.is_unbound else cost
+                    )
             if not unknown and (silent or not path.skipped):
                 self._add_damaged(offset, path, state, start_cost, is_frame=bool(frames))
             self._add_incomplete(offset, path, state, start_cost, is_frame=bool(frames or unknown))
@@ -259,25 +277,21 @@ class PathSearch:
     ) -> list[FrameCandidate]:
         """Return the frames, and each that repeats the whole pending request as a response, too."""
         pending = state.pending
-        if pending is None or pending.pdu[0] not in WRITE_SEVERAL:
+        if self._is_speaker_known or pending is None or pending.pdu[0] not in WRITE_SEVERAL:
             return frames
-        request = bytes([pending.unit]) + pending.pdu
         return frames + [
-            FrameCandidate(one.size, Direction.RESPONSE, ROLES, one.cost)
+            replace(one, segment=replace(one.segment, role=Direction.RESPONSE, roles=ROLES))
             for one in frames
-            if one.role is Direction.REQUEST
-            and one.size == len(request) + CRC_BYTES
-            and self._data.startswith(request, offset)
+            if one.segment.role is Direction.REQUEST
+            and pending.is_same(self._data[offset], one.pdu)
         ]
 
     def _is_silence_hidden(self, path: Path, offset: int) -> bool:
-        """True if a path ends with a few skipped bytes that directly follow a silence.
+        """True if the few skipped bytes at the end of a path directly follow a silence.
 
         Then a frame behind these bytes, at `offset`, costs little for having no silence before it.
         """
-        return 0 < path.skipped < LONG_SKIP and (
-            path.skipped > offset or self._window.silences[offset - path.skipped]
-        )
+        return path.skipped > offset or self._window.silences[offset - path.skipped]
 
     def _may_begin_frame(self, path: Path, offset: int) -> bool:
         """True if a frame probably begins at an offset, where `path` ends.
@@ -301,29 +315,26 @@ class PathSearch:
             and pending.is_named_by(self._data[offset], self._data[offset + 1])
         )
 
-    def _add_frame(
-        self, offset: int, path: Path, state: BusState, frame: FrameCandidate, start_cost: float
-    ) -> None:
-        end, role = offset + frame.size, frame.role
-        raw = self._data[offset:end]
-        unit, pdu = raw[0], raw[1:-2]
-        cost = frame.cost + start_cost + self._candidates.split_cost(offset, frame.size)
-        if frame.is_unbound:
-            is_due = self._is_response_due(path, offset)
-            if is_due or state.has_recent_request(unit, pdu[0]):
-                cost += costs.UNKNOWN_FORM_DUE - costs.UNKNOWN_FORM
+    def _add_frame(self, path: Path, state: BusState, frame: FrameCandidate, cost: float) -> None:
+        """Extend a path by a frame. `cost` is the frame's, in bits; the bus state adds to it."""
+        segment = frame.segment
+        end = segment.offset + segment.size
         if not self._is_speaker_known:
-            start_ns, end_ns = self._window.start_ns(offset), self._window.times[end - 1]
-            cost += self._model.cost(state, unit, pdu, role, start_ns)
+            unit, role = self._data[segment.offset], segment.role
+            start_ns, history = frame.start_ns, self._model.history
+            by_state, by_time = frame_cost(history, state, unit, frame.pdu, role, start_ns)
+            cost += by_state + by_time
             if path.cost + cost > self._limit:
                 return
-            inside_ns = self._candidates.longest_silence_ns(offset, frame.size)
-            if state.settles_silence(role, start_ns, inside_ns):
+            inside_ns = frame.inside_ns
+            if state.unexplained_silence_ns and state.settles_silence(role, start_ns, inside_ns):
                 cost += self._model.silence_cost(state)
-            state = self._model.next_state(state, unit, pdu, role, start_ns, end_ns, inside_ns)
-        segment = Segment(SegmentKind.FRAME, offset, frame.size, role, frame.roles)
-        total = path.cost + cost
-        self._keep(end, Path(total, state, path, segment, runs=path.runs, ends_frame=True))
+            state = self._model.next_state(
+                state, unit, frame.pdu, role, start_ns, frame.end_ns, inside_ns
+            )
+        self._keep(
+            end, Path(path.cost + cost, state, path, segment, runs=path.runs, ends_frame=True)
+        )
 
     def _add_incomplete(
         self, offset: int, path: Path, state: BusState, start_cost: float, *, is_frame: bool
@@ -335,7 +346,9 @@ class PathSearch:
         """
         before = path.cost + start_cost
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
-        if least >= min(self._incomplete_limit, self._lowest_costs[self._end] + costs.BEAM_MARGIN):
+        if least >= self._incomplete_limit:
+            return
+        if least >= self._lowest_costs[self._end] + costs.BEAM_MARGIN:
             return
         # Noise does not end the wait for a response, so the bus state before the noise counts here.
         found = self._candidates.incomplete(offset, path.state)
@@ -420,7 +433,9 @@ class PathSearch:
             learned = self._statistics.noise.bits
             cost = min(learned, max(learned - path.runs, costs.MIN_NOISE_IN_WINDOW))
         else:  # Noise and the bytes after it are two faults.
-            cost = max(self._statistics.skip.bits - path.runs, costs.SKIP_LIMITS[0])
+            cost = self._statistics.skip.bits - path.runs
+            if cost < costs.SKIP_LIMITS[0]:
+                cost = costs.SKIP_LIMITS[0]
         if is_frame:
             cost += costs.CRC_COINCIDENCE
         elif is_unknown:
@@ -441,11 +456,16 @@ class PathSearch:
         """Return the first offset, from `offset` on, at which a path that skips bytes other than
         noise can go on in another way, or meets another path.
         """
-        place = min((end for end in self._paths if end >= offset), default=self._end)
-        place = min(place, self._candidates.next_place(offset))
+        place = self._candidates.next_place(offset)
+        for end in self._paths:
+            if offset <= end < place:
+                place = end
         pending = state.pending
         if pending is not None:
             for code in (pending.pdu[0], pending.pdu[0] | EXCEPTION_BIT):
                 named = self._data.find(bytes((pending.unit, code)), offset, place + 1)
                 place = named if named >= 0 else place
         return place
+
+
+_cost = attrgetter("cost")

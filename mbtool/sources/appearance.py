@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from mbtool.core.moments import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _READ = "pcap, pcapng and MCAP are read, plain or packed with gzip or zstd"
 _FEW_BYTES = 4

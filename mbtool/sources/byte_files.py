@@ -14,19 +14,26 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from mbtool.core import Chunk, CutError, InputError, Origin, Stamp, StreamPlace
+from mbtool.core import (
+    Chunk,
+    CutError,
+    InputError,
+    LineSettings,
+    Origin,
+    Stamp,
+    StreamPlace,
+    WireEvent,
+)
+from mbtool.packets.stream_events import StreamGap
 
 if TYPE_CHECKING:
     import io
-    from collections.abc import Iterable, Iterator
 
-    from mbtool.core import LineSettings, WireEvent
-    from mbtool.packets.stream_events import StreamGap
-
-    SerialPiece = Chunk | WireEvent | StreamGap
-    """Bytes of a serial line, or a loss that a text log shows."""
+SerialPiece = Chunk | WireEvent | StreamGap
+"""Bytes of a serial line, or a loss that a text log shows."""
 
 READ_BYTES = 4096
 

@@ -37,10 +37,11 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator, Sequence
 from decimal import Decimal, DecimalException
 from itertools import chain, islice, pairwise
 from statistics import median_low
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from mbtool.core import (
     Chunk,
@@ -54,9 +55,6 @@ from mbtool.core import (
 from mbtool.sources.byte_files import SerialBytes
 from mbtool.sources.text_marks import iso_ns
 from mbtool.sources.uart import BAUDS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 START, END, DURATION, BYTE, TYPE = "t_start_s", "t_end_s", "duration", "byte_hex", "type"
 COLUMNS = {

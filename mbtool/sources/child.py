@@ -22,14 +22,11 @@ import errno
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.ports.clock import share_clock
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 # The code below asks the system to run this process before others, if the user may do so.
 #

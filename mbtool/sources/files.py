@@ -25,9 +25,10 @@ import re
 import stat
 import sys
 import zlib
+from collections.abc import Callable, Iterator
 from enum import StrEnum
-from pathlib import PurePath
-from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, TypeVar, cast
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, BinaryIO, Protocol, TypeVar, cast
 
 from mbtool.core import (
     CutError,
@@ -38,20 +39,16 @@ from mbtool.core import (
     SerialFormat,
     UsageError,
 )
+from mbtool.core.closing import ClosesOnExit
 from mbtool.core.moments import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
-from mbtool.sources.byte_files import read_hex, read_raw
+from mbtool.sources.byte_files import SerialPiece, read_hex, read_raw
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-    from types import TracebackType
-
     from _typeshed import WriteableBuffer
 
     from mbtool.packets.line_packets import CaptureHead
-    from mbtool.sources.byte_files import SerialPiece
     from mbtool.sources.text_log import TextLog
 
 _Item = TypeVar("_Item")
@@ -105,7 +102,7 @@ PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
 _TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES))
 
 
-class CaptureFile:
+class CaptureFile(ClosesOnExit):
     """An open capture. Close it, or use it as a context manager."""
 
     def __init__(
@@ -221,17 +218,6 @@ class CaptureFile:
     def close(self) -> None:
         if not _is_standard_input(self._file):
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def place_of(path: str) -> tuple[object, bool]:

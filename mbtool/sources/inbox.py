@@ -32,7 +32,8 @@ which delays what goes into it.
 from __future__ import annotations
 
 from collections import deque
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from threading import Condition, Event
 from typing import TYPE_CHECKING, Protocol
@@ -42,8 +43,6 @@ from mbtool.packets import StreamClosed, StreamEvent, StreamGap, StreamItem, Str
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Iterator
-    from contextlib import AbstractContextManager
 
 # The outbox delays the chunks and events of a relay by a few ms, so that decoding a request does
 # not delay the response. Without a delay, the consumer would decode a request and write the log
@@ -138,7 +137,8 @@ class Inbox:
         self._limit = limit
         self._filled_by_sources = self if behind is None else behind
         self._is_recorded = behind is not None
-        self._items: deque[Item] = deque()
+        self._items: deque[tuple[Item, int]] = deque()
+        """The items, each with its number of bytes."""
         self._held = 0
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
@@ -162,15 +162,16 @@ class Inbox:
         A full inbox discards all new items except Ended and the beginnings and ends of connections,
         until the consumer has emptied it to half of the limit.
         """
+        size = len(item.data) if isinstance(item, Chunk | Packet) else 0
         with self._changed:
             if isinstance(item, Ended):
                 self._append_losses()
-            elif not self._has_room(item):
-                self._note_loss(item)
+            elif not self._has_room(item, size):
+                self._note_loss(item, size)
                 return False
             elif isinstance(item, StreamClosed):
                 self._append_gaps(item.connection)
-            self._append(item)
+            self._append(item, size)
             self._changed.notify()
             return True
 
@@ -197,54 +198,44 @@ class Inbox:
 
         Without a timeout this waits until an item comes.
         """
-        self._let_sources_go_first()
-        with self._changed:
-            if not self._items:
-                self._changed.wait_for(lambda: bool(self._items), timeout)
-            if not self._items:
-                return None
-            item = self._items.popleft()
-            self._held -= _cost(item)
-            if self._losses and self._held <= self._limit // 2:
-                self._append_losses()
-            return item
+        items = self.take(timeout, 1)
+        return items[0] if items else None
 
-    def take(self, timeout: float, most: int) -> list[Item]:
+    def take(self, timeout: float | None, most: int) -> list[Item]:
         """Take out and return up to `most` items; wait for the first one if there is none.
 
         Returns an empty list if no item comes in `timeout` seconds.
         """
-        self._let_sources_go_first()
+        calm = self._filled_by_sources._calm
+        if not calm.is_set() and self._held <= self._limit // 2:
+            calm.wait(STANDSTILL_S)  # Sources go first.
         with self._changed:
             if not self._items:
                 self._changed.wait_for(lambda: bool(self._items), timeout)
-            count = min(most, len(self._items))
-            items = [self._items.popleft() for _ in range(count)]
-            self._held -= sum(map(_cost, items))
+            items: list[Item] = []
+            while self._items and len(items) < most:
+                item, size = self._items.popleft()
+                self._held -= ITEM_COST + size
+                items.append(item)
             if self._losses and self._held <= self._limit // 2:
                 self._append_losses()
             return items
 
-    def _let_sources_go_first(self) -> None:
-        calm = self._filled_by_sources._calm
-        if not calm.is_set() and self._held <= self._limit // 2:
-            calm.wait(STANDSTILL_S)
-
-    def _has_room(self, item: Item) -> bool:
+    def _has_room(self, item: Item, size: int) -> bool:
         if isinstance(item, StreamOpened | StreamClosed):
             return self._held + ITEM_COST <= 2 * self._limit
-        return not self._losses and self._held + _cost(item) <= self._limit
+        return not self._losses and self._held + ITEM_COST + size <= self._limit
 
-    def _append(self, item: Item) -> None:
+    def _append(self, item: Item, size: int = 0) -> None:
         if isinstance(item, Quiet) and self._items:
-            last = self._items[-1]
+            last, _ = self._items[-1]
             if isinstance(last, Quiet) and last.link == item.link:
-                self._items[-1] = item
+                self._items[-1] = item, size
                 return
-        self._items.append(item)
-        self._held += _cost(item)
+        self._items.append((item, size))
+        self._held += ITEM_COST + size
 
-    def _note_loss(self, item: Item) -> None:
+    def _note_loss(self, item: Item, size: int) -> None:
         if isinstance(item, Quiet | Ended):
             return
         loss = self._losses.setdefault(_link(item), _Loss())
@@ -254,7 +245,7 @@ class Inbox:
             loss.dropped += item.packets
             return
         loss.items += 1
-        loss.size += _size(item)
+        loss.size += size
         loss.packets += isinstance(item, Packet)
         if isinstance(item, Chunk) and item.connection is not None:
             stream = (item.connection, item.direction)
@@ -321,11 +312,3 @@ def _link(item: StreamItem | Packet) -> str:
     if isinstance(item, StreamOpened | StreamClosed | StreamGap | StreamEvent):
         return item.connection.link
     return item.link
-
-
-def _size(item: Item) -> int:
-    return len(item.data) if isinstance(item, Chunk | Packet) else 0
-
-
-def _cost(item: Item) -> int:
-    return ITEM_COST + _size(item)

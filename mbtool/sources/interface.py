@@ -36,10 +36,11 @@ import struct
 import sys
 import warnings
 from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, UsageError, WireEvent
 from mbtool.core.limits import MODBUS_PORT
@@ -50,9 +51,6 @@ from mbtool.packets.tunnels import ERSPAN, GRE
 from mbtool.ports.clock import ClockWatch, now_ns
 from mbtool.sources.inbox import Ended, PatientSink
 from mbtool.sources.source import LiveSource
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
 
 # The kernel filter that lets only Modbus traffic into a capture: classic BPF, assembled here.
 #

@@ -20,7 +20,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from mbtool.core import AutoLink, LinkError, SerialFormat, SerialLink
 from mbtool.core.moments import counted
@@ -35,9 +35,6 @@ from mbtool.serial_line.settings_fit import (
     other_parity,
     settings_to_try,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 LISTEN_S = 10
 """The longest time in seconds for which a setting is tried without a pause, if bytes come."""

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,6 @@ from mbtool.core.limits import MODBUS_PORT
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.sources.inbox import Inbox, PatientSink
     from mbtool.sources.source import LiveSource
 

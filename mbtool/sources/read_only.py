@@ -22,17 +22,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import Adu, mbap_adu, rtu_adu
 from mbtool.modbus.functions import ExceptionCode, function_name
-from mbtool.modbus.pdu import exception_pdu, parse_pdu
-
-if TYPE_CHECKING:
-    from mbtool.modbus.pdu import Pdu
+from mbtool.modbus.pdu import Pdu, exception_pdu, parse_pdu
 
 MAX_WAITING = 256
 READING = frozenset((0x01, 0x02, 0x03, 0x04, 0x07, 0x0B, 0x0C, 0x11, 0x14, 0x18))

@@ -12,21 +12,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from threading import Event, Lock
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, SerialLink, WireEvent
 from mbtool.ports.clock import monotonic_ns, now_ns
-from mbtool.ports.local_ports import find_port, identity_of
-from mbtool.sources.inbox import Ended
+from mbtool.ports.local_ports import PortIdentity, find_port, identity_of
+from mbtool.sources.inbox import Ended, Inbox, Item
 from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
     from contextlib import AbstractContextManager
-
-    from mbtool.ports.local_ports import PortIdentity
-    from mbtool.sources.inbox import Inbox, Item
 
     MakeSource = Callable[[Any, Mapping[str, str]], LiveSource[Any]]
     """A function that creates a source. Its first argument is the sink for the source's items. The

@@ -7,20 +7,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from threading import Event
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, EventKind, LinkError, Quiet, SerialLink, WireEvent
 from mbtool.ports.serial_records import RecordKind, RecordReader, SerialRecord
 from mbtool.sources.child import end_child, start_child, tell_to_end
-from mbtool.sources.inbox import Ended
+from mbtool.sources.inbox import Ended, Sink
 from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Mapping
 
-    from mbtool.sources.inbox import Sink
 
 STEP_NS = 10_000
 """Times of reads are rounded down to multiples of this, in ns. A read is noted some 50 us late at

@@ -9,6 +9,7 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -19,8 +20,6 @@ from mbtool.ports.serial_records import RecordKind, RecordWriter
 from mbtool.sources.child import run_promptly
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from mbtool.ports.line_errors import LineTrouble
 
 

@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
@@ -32,7 +33,6 @@ from mbtool.ports.serial_records import RecordKind, RecordWriter
 from mbtool.sources.serial_process import put_troubles, run_process
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from threading import Event
 
 

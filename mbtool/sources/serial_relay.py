@@ -21,6 +21,7 @@ from __future__ import annotations
 import select
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
@@ -35,7 +36,6 @@ from mbtool.ports.serial_records import RecordKind, RecordWriter
 from mbtool.sources.serial_process import put_troubles, run_process
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from threading import Event
 
 LAST_S = 0.5

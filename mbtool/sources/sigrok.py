@@ -36,9 +36,10 @@ import re
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from mbtool.core import (
     Chunk,
@@ -56,9 +57,6 @@ from mbtool.serial_line.rtu import RtuSplitter
 from mbtool.serial_line.settings_fit import LIKELY_FIT
 from mbtool.sources.byte_files import SerialBytes
 from mbtool.sources.uart import MIN_SAMPLES, Character, UartChannel, find_format, wrong_share
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 LOOKED_AT = 20_000
 """The channels and the line's settings are chosen from the beginning of the recording, which ends

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Callable
 from threading import Thread
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 from mbtool.core import InterfaceLink, SerialLink, TapLink
+from mbtool.core.closing import ClosesOnExit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.sources.inbox import Sink
 
 HeardLink = TypeVar("HeardLink", bound=SerialLink | InterfaceLink | TapLink)
 
 
-class LiveSource(ABC, Generic[HeardLink]):
+class LiveSource(ClosesOnExit, Generic[HeardLink]):
     """Puts captured chunks or packets into an inbox while its context is open; Ended comes last.
 
     Entering the context raises LinkError if the link cannot be opened. Leaving it waits until
@@ -43,9 +43,6 @@ class LiveSource(ABC, Generic[HeardLink]):
     def __enter__(self) -> Self:
         self.open()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @abstractmethod
     def open(self) -> None:

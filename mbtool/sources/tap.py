@@ -32,8 +32,8 @@ import asyncio
 import os
 import re
 import ssl
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 from mbtool.core import (
     Chunk,
@@ -52,14 +52,9 @@ from mbtool.ports.clock import now_ns
 from mbtool.ports.host_names import why_unknown
 from mbtool.ports.tcp_listener import SPARE_S, THIS_MACHINE, AllowedPeers, TcpListener, reset
 from mbtool.ports.tls import client_context, described, failure, server_context
-from mbtool.sources.inbox import Ended, Outbox
+from mbtool.sources.inbox import Ended, Outbox, Sink
 from mbtool.sources.read_only import ReadOnlyScreen
 from mbtool.sources.source import LiveSource
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.sources.inbox import Sink
 
 _TICK_S = 0.1
 """The period in seconds at which the tap puts a Quiet item (all bytes up to now are delivered) and

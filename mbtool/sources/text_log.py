@@ -26,6 +26,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections import deque
+from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
@@ -36,6 +37,7 @@ from mbtool.core import (
     Endpoint,
     EventKind,
     Origin,
+    SerialFormat,
     Stamp,
     StreamPlace,
     WireEvent,
@@ -48,6 +50,7 @@ from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
     MAX_TIME_NS,
     DateOrder,
+    Mark,
     Time,
     bracket_mark,
     find_mark,
@@ -56,10 +59,6 @@ from mbtool.sources.text_marks import (
 
 if TYPE_CHECKING:
     import io
-    from collections.abc import Callable, Iterator
-
-    from mbtool.core import SerialFormat
-    from mbtool.sources.text_marks import Mark
 
 
 # Finds bytes in a line of text, in every notation that programs use.

@@ -20,11 +20,9 @@ from __future__ import annotations
 
 import re
 from calendar import timegm
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from typing import NamedTuple
 
 MAX_TIME_NS = 1 << 62
 NEAR = 120

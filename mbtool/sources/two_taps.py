@@ -8,20 +8,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from threading import Lock
-from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, LinkError, Quiet, SerialLink
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
-from mbtool.sources.inbox import Ended
+from mbtool.sources.inbox import Ended, Item, Sink
 from mbtool.sources.serial_capture import SerialSource
 from mbtool.sources.source import LiveSource
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from mbtool.sources.inbox import Item, Sink
 
 
 class TwoTapsSource(LiveSource[SerialLink]):

@@ -14,13 +14,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.core import SerialFormat
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 BAUDS = (
     300, 600, 1200, 2400, 4800, 9600, 14400, 19200, 28800, 38400, 57600, 76800, 115200, 230400,

@@ -33,15 +33,12 @@ import select
 import signal
 import sys
 import tty
+from collections.abc import Sequence
 from contextlib import suppress
 from errno import EEXIST
 from time import monotonic_ns
-from typing import TYPE_CHECKING
 
 from mbtool.sources.child import run_promptly
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 MAX_PENDING = 4096
 GRAIN_NS = 250_000

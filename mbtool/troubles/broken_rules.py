@@ -9,16 +9,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted, host_of
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.troubles.trouble import Evidence, Trouble
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 MAX_PLACES = 5
 """A summary shows at most this many places for each code; a scan of all addresses would give

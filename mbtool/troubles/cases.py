@@ -8,25 +8,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from heapq import heappush, heapreplace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import CONNECTION_OPENED, EventKind
+from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.core.moments import duration, host_of
 from mbtool.ledger.account import MAX_POLLS
-from mbtool.ledger.poll_statistics import PollKey, poll_key
+from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.modbus import Outcome
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mbtool.core import WireEvent
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_UNITS = 500
 """Cases are kept for at most this many units; further ones are ignored."""

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,8 +19,8 @@ from mbtool.core.moments import counted, duration, in_ms
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import Severity
-from mbtool.ledger.account import OTHER_UNITS
-from mbtool.ledger.request_tally import merged
+from mbtool.ledger.account import OTHER_UNITS, Account
+from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
@@ -41,15 +41,11 @@ from mbtool.troubles.value_faults import ValueFaults
 from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.account import Account
     from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.ledger.poll_statistics import PollStatistics
-    from mbtool.ledger.request_tally import RequestTally
     from mbtool.troubles.sense import Sense
 
 # The senses that find the troubles of a serial line.

@@ -42,6 +42,7 @@ A damaged frame is an event: a wrong CRC, or bytes that are no frame.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
@@ -56,8 +57,6 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport, PollReport
 

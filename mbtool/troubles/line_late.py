@@ -23,10 +23,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
+from mbtool.core import WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.modbus import Outcome
@@ -34,9 +36,6 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3

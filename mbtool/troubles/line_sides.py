@@ -19,10 +19,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import EventKind, WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.line_late import SHORTEST_TIMEOUT_NS
@@ -30,9 +31,6 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 10

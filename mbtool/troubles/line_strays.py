@@ -23,11 +23,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import log
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.core.moments import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
@@ -35,9 +36,6 @@ from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import SerialFormat
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 5

@@ -33,6 +33,7 @@ answers.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from statistics import median, median_low
@@ -47,8 +48,6 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.ledger.statistics_report import LinkReport
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -28,8 +29,6 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.statistics_report import LinkReport

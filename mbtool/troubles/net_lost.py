@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,8 +29,6 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.statistics_connections import ConnectionTally

@@ -16,11 +16,12 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
+from mbtool.core import EventKind, WireEvent
 from mbtool.core.moments import counted, host_of, in_ms
 from mbtool.framing.mbap import PARTS_NS
 from mbtool.modbus import RESPONDED, Outcome, Transport
@@ -28,9 +29,6 @@ from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport

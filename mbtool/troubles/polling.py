@@ -10,7 +10,7 @@ The figures of the account (ledger/account.py) show them; single transactions ar
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import nlargest
 from typing import TYPE_CHECKING
@@ -20,8 +20,6 @@ from mbtool.ledger.poll_statistics import LONG_NS, PollStatistics
 from mbtool.troubles.trouble import Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.cases import Cases

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.statistics_report import LinkReport

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from mbtool.core import WireEvent
 from mbtool.core.moments import clock_time, counted, day
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.troubles.words import WORDS, Words
 
 if TYPE_CHECKING:
-    from mbtool.core import WireEvent
     from mbtool.modbus.transaction import Transaction
 
 MAX_EVIDENCE = 100

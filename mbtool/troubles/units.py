@@ -6,14 +6,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from mbtool.core.moments import DAY_NS, counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
+from mbtool.ledger.statistics_report import LinkReport, unit_polls, unit_tallies, unit_times
 from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
@@ -29,10 +29,7 @@ from mbtool.troubles.slow_units import ENOUGH_ANSWERS, GRAVE_NS, are_many, slow_
 from mbtool.troubles.trouble import Trouble, moment_text
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-
     from mbtool.ledger.distribution import Distribution
-    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.ledger.time_bins import UnitBin
     from mbtool.troubles.cases import Cases
 

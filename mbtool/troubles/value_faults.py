@@ -34,6 +34,7 @@ Registers that a master writes, and ambiguous frames, are left out.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,8 +46,6 @@ from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.devices.assignment import Assignments
     from mbtool.devices.checking.quiet_run import QuietRun

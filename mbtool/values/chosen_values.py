@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.references import write_reference
@@ -19,8 +20,6 @@ from mbtool.values.value_series import ValueSeries
 from mbtool.values.values import SeriesKey
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.modbus.tables import Table
 

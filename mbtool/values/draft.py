@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
@@ -32,8 +33,6 @@ from mbtool.values.reasons import ValueRole
 from mbtool.values.value_series import histories_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave, Replies
 
 MAX_POINTS = 1000

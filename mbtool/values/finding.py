@@ -27,22 +27,18 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import nlargest
 from itertools import pairwise, product
 from operator import itemgetter
 from statistics import median, pstdev
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import Table
 from mbtool.values.judging import Judged, WordHistory, judge
 from mbtool.values.word_readings import Order, WordReading, numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 MOST_SHOWN = 100
 """At most this many places are returned for each wanted number."""

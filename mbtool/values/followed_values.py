@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import PointInstance
@@ -15,9 +16,6 @@ from mbtool.values.judging import WordHistory, judge
 from mbtool.values.word_readings import Order, WordReading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices.model import Point, Profile
     from mbtool.modbus.tables import Table
 
 _NOT_VALID = re.compile(

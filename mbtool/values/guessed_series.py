@@ -10,20 +10,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
 from mbtool.modbus.tables import Table
-from mbtool.values.judging import WordHistory, judge
+from mbtool.values.judging import Judged, WordHistory, judge
 from mbtool.values.value_series import ValueSeries
 from mbtool.values.values import RequestedSpan, SeriesKey
 from mbtool.values.word_readings import numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from mbtool.values.judging import Judged
 
 MARK = "?"
 """Stands behind a value whose type is guessed."""

@@ -21,9 +21,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.functions import READ_LIMIT
@@ -49,9 +50,6 @@ from mbtool.values.segmentation import (
     joined_cost,
 )
 from mbtool.values.word_readings import Order, WordReading, numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
 
 # Finds values whose type stays in doubt, however well the words of the registers fit it.
 #

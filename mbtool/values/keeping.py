@@ -10,18 +10,16 @@ from __future__ import annotations
 import io
 import re
 import tomllib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
 from mbtool.devices.dumping import dump_point
-from mbtool.devices.model import Point
+from mbtool.devices.model import Point, Profile
 from mbtool.devices.point_types import ByteOrder, WordOrder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.devices.model import Profile
     from mbtool.values.finding import FoundPlace, Wanted
 
 _HEADER = re.compile(r"\s*\[(?!\[?\s*points\s*\.).*\]\s*(?:#.*)?")

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -17,8 +18,6 @@ import numpy.typing as npt
 from mbtool.devices.point_types import PointType
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.values.followed_values import FollowedValue
     from mbtool.values.word_readings import WordReading
 

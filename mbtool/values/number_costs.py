@@ -18,11 +18,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 INDEPENDENT = 20
 """If a series has more changes than this, the sum of their costs is scaled as if it had this many,

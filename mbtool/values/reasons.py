@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection, Sequence
 from enum import StrEnum
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from mbtool.devices.point_types import PointType
 from mbtool.values.number_costs import few_decimals
-from mbtool.values.word_readings import numbers_in
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from mbtool.values.word_readings import WordReading
+from mbtool.values.word_readings import WordReading, numbers_in
 
 _MAX_LISTED = 6
 """A reason lists the values of a series if they are at most this many different ones."""

@@ -14,16 +14,14 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.core.errors import UsageError
 from mbtool.core.moments import DAY_NS, SECOND_NS, TimePoint, parse_moment
 from mbtool.values.finding import Sighting, Wanted
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 MAX_SEEN = 10_000
 """A user can give at most this many numbers."""

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain, compress, groupby, islice, starmap
 from operator import ne
 from typing import TYPE_CHECKING
@@ -15,8 +16,6 @@ import msgspec
 from mbtool.values.judging import WordHistory
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.observed_slave import ObservedSlave
 
 # Word histories: the words of a slave's registers over time, as judging.py takes them.

@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -22,8 +23,6 @@ from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.modbus.tables import Table

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class Order(StrEnum):

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from mbtool.core.moments import counted, duration
 from mbtool.devices.references import write_reference
-from mbtool.ledger.advice import CycleAdvice, Forecast
+from mbtool.ledger.advice import Advised, CycleAdvice, Forecast, MergedRead
 from mbtool.modbus import FUNCTIONS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.advice import Advised, MergedRead
 
 
 def advice_lines(found: Sequence[Advised]) -> list[str]:

@@ -6,21 +6,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
 
+from mbtool.core import WireEvent
 from mbtool.core.moments import counted
 from mbtool.devices import describe_points, describe_written, finding_text
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, exception_name, short_name, whole_pdu
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
-from mbtool.views.changed_points import is_number
+from mbtool.views.changed_points import PointsRead, is_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction, PointValue, Profile
-    from mbtool.views.changed_points import PointsRead
 
 MANY_BITS = 8
 """If a request or response has more bits than this, a cell shows them in groups of eight bits."""

@@ -7,11 +7,10 @@ were last read.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import NamedTransaction, PointValue
 
 MAX_POINTS = 100_000

@@ -9,13 +9,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.packets.line_packets import RAW_IPV4
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.core.local_ports import LocalSerialPort
     from mbtool.devices import Profile
 

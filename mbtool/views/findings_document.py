@@ -11,7 +11,8 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from urllib.parse import quote
 
 import msgspec
@@ -22,8 +23,6 @@ from mbtool.views.tables import printable_json
 from mbtool.views.trouble_lines import trouble_document, trouble_documents, trouble_text, utc_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.devices.checking.finding import Finding
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Trouble
@@ -34,6 +33,19 @@ SARIF_SCHEMA = (
 )
 
 
+class Checked(NamedTuple):
+    """What a document says at its end about the files that were checked."""
+
+    transactions: int
+    failed: Mapping[str, int]
+    """The numbers of requests without a good answer, by what came."""
+    judgement: Judgement
+    remarks: Sequence[str] = ()
+    """Lines for the user about the files."""
+    is_whole: bool = True
+    """False if a part of the files was not checked."""
+
+
 class Document(Protocol):
     """Returns the text of a document in pieces: the beginning, each finding, and the end."""
 
@@ -41,22 +53,7 @@ class Document(Protocol):
 
     def add(self, finding: Finding, file: str) -> str: ...
 
-    def end(
-        self,
-        transactions: int,
-        failed: Mapping[str, int],
-        *,
-        judgement: Judgement,
-        remarks: Sequence[str] = (),
-        is_whole: bool = True,
-    ) -> str:
-        """Return the last piece.
-
-        `failed` has the numbers of requests without a good answer. `judgement` has the troubles.
-        `remarks` are lines about the files. `is_whole` is False if a part of the files was not
-        checked.
-        """
-        ...
+    def end(self, checked: Checked) -> str: ...
 
 
 class JsonDocument:
@@ -77,22 +74,14 @@ class JsonDocument:
         joint, self._joint = self._joint, ",\n"
         return joint + _json({**_fields(finding), "file": file})
 
-    def end(
-        self,
-        transactions: int,
-        failed: Mapping[str, int],
-        *,
-        judgement: Judgement,
-        remarks: Sequence[str] = (),
-        is_whole: bool = True,
-    ) -> str:
+    def end(self, checked: Checked) -> str:
         rest = {
             "rules": self._rules,
-            "transactions": transactions,
-            "failed_requests": failed,
-            **trouble_documents(judgement),
-            "is_whole": is_whole,
-            "remarks": list(remarks),
+            "transactions": checked.transactions,
+            "failed_requests": checked.failed,
+            **trouble_documents(checked.judgement),
+            "is_whole": checked.is_whole,
+            "remarks": list(checked.remarks),
         }
         return f"\n],{_json(rest)[1:]}\n"
 
@@ -120,27 +109,22 @@ class SarifDocument:
             _result(finding, self._paths.get(file, file), self._indices[finding.code])
         )
 
-    def end(
-        self,
-        transactions: int,
-        failed: Mapping[str, int],
-        *,
-        judgement: Judgement,
-        remarks: Sequence[str] = (),
-        is_whole: bool = True,
-    ) -> str:
+    def end(self, checked: Checked) -> str:
         driver = {
             "name": "mbtool",
             "version": self._version,
             "rules": list(self._rules.values()),
         }
-        troubles = [one for one in judgement.troubles if one.code in WORDS]
+        troubles = [one for one in checked.judgement.troubles if one.code in WORDS]
         results = "".join(self._trouble(one) for one in troubles)
         rest = {
             "tool": {"driver": driver},
-            "invocations": [_invocation(remarks, is_whole=is_whole)],
+            "invocations": [_invocation(checked)],
             "columnKind": "unicodeCodePoints",
-            "properties": {"transactions": transactions, "failed_requests": failed},
+            "properties": {
+                "transactions": checked.transactions,
+                "failed_requests": checked.failed,
+            },
         }
         return f"{results}\n],{_json(rest)[1:-1]}}}]}}\n"
 
@@ -200,10 +184,10 @@ def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
     }
 
 
-def _invocation(remarks: Sequence[str], *, is_whole: bool) -> dict[str, Any]:
+def _invocation(checked: Checked) -> dict[str, Any]:
     """Return SARIF's account of the run: whether all was checked, and the remarks on the files."""
-    notes = [{"level": "warning", "message": {"text": remark}} for remark in remarks]
-    return {"executionSuccessful": is_whole, "toolExecutionNotifications": notes}
+    notes = [{"level": "warning", "message": {"text": remark}} for remark in checked.remarks]
+    return {"executionSuccessful": checked.is_whole, "toolExecutionNotifications": notes}
 
 
 def _logical(finding: Finding) -> dict[str, str]:

@@ -19,19 +19,17 @@ from rich.text import Text
 
 from mbtool.core.moments import counted, moment
 from mbtool.devices.checking.rules import Severity
-from mbtool.troubles.broken_rules import where
+from mbtool.troubles.broken_rules import PlaceSummary, Summaries, where
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.troubles.broken_rules import PlaceSummary, Summaries
 
 
 _INDENT = "    "
 _NARROWEST = 20
-_ORDER = tuple(Severity)
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
 
 

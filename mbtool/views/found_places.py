@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbtool.devices.point_types import PointType
 from mbtool.devices.references import write_reference
-from mbtool.values.finding import LIKELY
+from mbtool.values.finding import LIKELY, ChangedPlace, FoundPlace, Wanted
 from mbtool.values.reasons import span_of
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.table import Table
 
-    from mbtool.values.finding import ChangedPlace, FoundPlace, Wanted
     from mbtool.values.word_readings import WordReading
 
 LEAST_SHOWN = 0.01

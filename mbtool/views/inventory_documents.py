@@ -12,21 +12,19 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from mbtool.ledger.inventory_ranges import MAX_RANGES, ranges_text
-from mbtool.ledger.inventory_rows import Role, iso_time
+from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, Role, SlaveRow, iso_time
 from mbtool.views.inventory_table import UNKNOWN, function_label, identity_text
 from mbtool.views.tables import printable_json
 from mbtool.views.trouble_lines import trouble_documents
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.ledger.baseline import InventoryChange
-    from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, SlaveRow
     from mbtool.troubles.judge import Judgement
 
 INVENTORY_COLUMNS = (

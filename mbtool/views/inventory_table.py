@@ -13,13 +13,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from mbtool.core.moments import counted
-from mbtool.ledger.baseline import ChangeKind
+from mbtool.ledger.baseline import ChangeKind, InventoryChange
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,
@@ -33,11 +34,8 @@ from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from rich.console import Console
 
-    from mbtool.ledger.baseline import InventoryChange
     from mbtool.ledger.inventory_rows import (
         FunctionUse,
         InventoryDocument,

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ from mbtool.core.moments import counted
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.console import Console
 
     from mbtool.core.local_ports import LocalInterface, LocalSerialPort, PortTrouble

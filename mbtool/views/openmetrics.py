@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from mbtool.ledger.account import OTHER_UNITS
@@ -9,8 +10,6 @@ from mbtool.ledger.distribution import PERCENTILES
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.troubles.judge import Judgement
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
@@ -16,8 +17,6 @@ from mbtool.core.moments import host_of
 from mbtool.views.table_options import TableColumn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from mbtool.devices import NamedTransaction
 
     Record = NamedTransaction | WireEvent

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from mbtool.views.plot_lines import number_text
-from mbtool.views.statistics_columns import StatisticsColumn, StatisticsRow, table_lines
+from mbtool.views.statistics_columns import StatisticsColumn, StatisticsRow, StyledLine, table_lines
 from mbtool.views.tables import printable, printable_json
 from mbtool.views.watch_words import sparkline
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.values.value_series import ValueSeries
     from mbtool.values.values import SeriesKey
-    from mbtool.views.statistics_columns import StyledLine
 
 _BARS = 16
 _RANKS = {"recent values": 4, "address": 3, "least": 2, "greatest": 2, "last": 1}

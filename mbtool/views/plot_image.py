@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import IO, TYPE_CHECKING, Any
 
 from mbtool.views.plot_lines import series_title
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.values.value_series import ValueSeries
     from mbtool.values.values import SeriesKey
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.moments import DAY_NS, SECOND_NS, clock_time, day
@@ -14,8 +15,6 @@ from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.values.value_series import SeriesSample, ValueSeries
     from mbtool.values.values import SeriesKey
 

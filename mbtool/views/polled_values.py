@@ -10,13 +10,12 @@ from __future__ import annotations
 import csv
 import io
 from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import clock_time, day
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.devices import PointValue
 
 MAX_HELD = 10

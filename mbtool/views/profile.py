@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 
 from mbtool.core.moments import counted
 from mbtool.devices import Access, ByteOrder, PointInstance, PointType, WordOrder, write_reference
@@ -15,9 +16,6 @@ from mbtool.modbus import FUNCTIONS, function_name
 from mbtool.views.tables import plain, plain_table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import RenderableType
     from rich.table import Table
 
     from mbtool.devices import Area, FunctionRule, Point, Profile

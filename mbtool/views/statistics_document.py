@@ -6,21 +6,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from mbtool.ledger.account import OTHER_UNITS
-from mbtool.ledger.distribution import PERCENTILES
+from mbtool.ledger.account import OTHER_UNITS, Account
+from mbtool.ledger.distribution import PERCENTILES, Distribution
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.views.trouble_lines import trouble_documents
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.account import Account
     from mbtool.ledger.bus_load import BusLoad
-    from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.poll_cycle import PollList, PollLists
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from mbtool.core.moments import counted, duration, percent
 from mbtool.ledger.account import MAX_LINKS, MAX_USES
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics_report import is_counted_together
+from mbtool.ledger.statistics_report import LinkReport, is_counted_together
 from mbtool.modbus import Outcome
-from mbtool.troubles.judge import units_text
+from mbtool.troubles.judge import Judgement, units_text
 from mbtool.views.statistics_columns import StyledLine, per_second
 from mbtool.views.trouble_lines import trouble_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.statistics_report import LinkReport
-    from mbtool.troubles.judge import Judgement
 
 TOGETHER_TEXT = (
     f"there are more than {MAX_LINKS:,} links or units, or {MAX_USES:,} functions of units: "

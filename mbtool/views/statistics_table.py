@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,6 @@ from mbtool.views.statistics_columns import (
 from mbtool.views.statistics_summary import summary_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.ledger.poll_cycle import PollList
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_connections import ConnectionTally

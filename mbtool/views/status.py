@@ -3,40 +3,41 @@
 from __future__ import annotations
 
 import datetime
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from mbtool.core.moments import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _DAY_S, _HOUR_S, _MINUTE_S = 86_400, 3600, 60
 
 
-def status_lines(
-    path: str,
-    state: str,
-    size: int,
-    capture: Mapping[str, str],
-    links: Mapping[str, str],
-    heartbeat: Mapping[str, str],
-    numbers: Mapping[str, int],
-    now_ns: int,
-) -> list[str]:
-    """Return a line for each known fact about a log file that `mbtool sniff` writes.
+class RecordedLog(NamedTuple):
+    """The facts about a log file that `mbtool sniff` writes."""
 
-    `heartbeat` has the texts and `numbers` the counters that the service last wrote into the log;
-    both are empty for a log without them.
-    """
-    rows = [("log", f"{path}, {counted(size, 'byte', ',')}"), ("state", state)]
+    path: str
+    state: str
+    size: int
+    capture: Mapping[str, str]
+    links: Mapping[str, str]
+    heartbeat: Mapping[str, str]
+    """The texts that the service last wrote into the log; empty for a log without them."""
+    numbers: Mapping[str, int]
+    """The counters that the service last wrote into the log; empty for a log without them."""
+    now_ns: int
+
+
+def status_lines(log: RecordedLog) -> list[str]:
+    """Return a line for each known fact about a log."""
+    capture = log.capture
+    rows = [("log", f"{log.path}, {counted(log.size, 'byte', ',')}"), ("state", log.state)]
     if "part" in capture:
         rows.append(("part", capture["part"]))
     rows += [("host", capture.get("host", "")), ("command", capture.get("command", ""))]
-    rows += [("link", f"{name}  {spec}".rstrip()) for name, spec in links.items()]
-    if not heartbeat:
+    rows += [("link", f"{name}  {spec}".rstrip()) for name, spec in log.links.items()]
+    if not log.heartbeat:
         rows.append(("counters", "none yet: only sniff --service writes them"))
     else:
-        rows += _counters(heartbeat, numbers, now_ns)
+        rows += _counters(log.heartbeat, log.numbers, log.now_ns)
     return [f"{name:<13}{text}" for name, text in rows if text]
 
 
@@ -74,26 +75,17 @@ def _counters_text(numbers: Mapping[str, int], prefix: str) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in some.items())
 
 
-def status_document(
-    path: str,
-    state: str,
-    size: int,
-    capture: Mapping[str, str],
-    links: Mapping[str, str],
-    heartbeat: Mapping[str, str],
-    numbers: Mapping[str, int],
-    now_ns: int,
-) -> dict[str, Any]:
+def status_document(log: RecordedLog) -> dict[str, Any]:
     """Return the facts about a log as JSON data for scripts; times are in ns since 1970.
 
     `age_s` is the time since the service last wrote its counters, in s.
     """
-    document: dict[str, Any] = {"log": path, "state": state, "bytes": size}
-    document |= {"capture": dict(capture), "links": dict(links)}
-    if heartbeat:
-        lost_links = heartbeat.get("lost_links", "").split()
-        document["heartbeat"] = {**numbers, "lost_links": lost_links}
-        document["age_s"] = round((now_ns - numbers.get("ts_ns", 0)) / 1e9, 3)
+    document: dict[str, Any] = {"log": log.path, "state": log.state, "bytes": log.size}
+    document |= {"capture": dict(log.capture), "links": dict(log.links)}
+    if log.heartbeat:
+        lost_links = log.heartbeat.get("lost_links", "").split()
+        document["heartbeat"] = {**log.numbers, "lost_links": lost_links}
+        document["age_s"] = round((log.now_ns - log.numbers.get("ts_ns", 0)) / 1e9, 3)
     return document
 
 

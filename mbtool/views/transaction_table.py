@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -48,8 +49,6 @@ from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.tables import RowForm, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from rich.console import Console
 
     from mbtool.decode.usual_run import UsualRun

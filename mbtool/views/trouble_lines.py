@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import product
 from textwrap import wrap
@@ -13,8 +14,6 @@ from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Evidence, Trouble
 

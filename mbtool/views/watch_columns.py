@@ -7,16 +7,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from mbtool.views.tables import printable
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.views.watch_places import PlaceColumn
 
 Span = tuple[str, str]
@@ -90,6 +89,25 @@ class WatchColumn:
     def most(self) -> int:
         """The number of characters in the widest cell from which on wider cells change nothing."""
         return self.width or self.least_share
+
+
+def plain_column(
+    name: str,
+    title: str,
+    width: int,
+    field: str = "",
+    *,
+    text: Callable[[Any], str] = str,
+    **more: Any,
+) -> WatchColumn:
+    """Return a column that shows an attribute of its rows, and is sorted by it.
+
+    `field` is the name of the attribute, by default that of the column; `text` writes its value.
+    `more` are other fields of WatchColumn.
+    """
+    value = attrgetter(field or name)
+    cell = lambda row, _: text(value(row))  # noqa: E731
+    return WatchColumn(name=name, title=title, width=width, cell=cell, sort=value, **more)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from mbtool.core import Direction, WireEvent
 from mbtool.core.moments import clock_time, day, in_ms, percent
-from mbtool.devices import finding_text
+from mbtool.devices import NamedTransaction, Profile, finding_text
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import DirectionBy, Verdict
 from mbtool.views.cells import result_text, transaction_text
@@ -16,10 +16,9 @@ from mbtool.views.tables import printable
 from mbtool.watching.adu_parts import adu_parts
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.watch_columns import Spans
-    from mbtool.watching.board import TroubleRow, WatchedSlaveRow
-    from mbtool.watching.watched_rows import KeptRecord
+    from mbtool.watching.board import WatchedSlaveRow
+    from mbtool.watching.watched_rows import KeptRecord, TroubleRow
 
 WHY = {
     DirectionBy.PORT: "the port tells who sent it",

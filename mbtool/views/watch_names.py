@@ -10,16 +10,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
 
-from mbtool.devices import describe_points, subject_of
-from mbtool.views.watch_columns import CUT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from mbtool.devices import NamedTransaction, PointValue
-    from mbtool.views.watch_columns import Spans
+from mbtool.devices import NamedTransaction, PointValue, describe_points, subject_of
+from mbtool.views.watch_columns import CUT, Spans
 
 LEAST = 10
 """A name is cut to no fewer characters than this."""

@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 from mbtool.views.place_columns import common_network
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
 
 NARROW = 110
 """On a screen with fewer columns than this, addresses are shown by their last number."""

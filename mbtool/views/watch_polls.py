@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
 from mbtool.core.moments import in_ms
-from mbtool.devices import describe_points
+from mbtool.devices import NamedTransaction, describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
-from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn
+from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn, plain_column
 from mbtool.views.watch_names import cut_name, with_short_names
 from mbtool.views.watch_words import (
     OVERDUE,
@@ -23,7 +23,6 @@ from mbtool.views.watch_words import (
 from mbtool.watching.value_formats import ValueFormat, float_text, register_text, register_texts
 
 if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction
     from mbtool.watching.board import PollRow, WatchedPointRow
 
 _MAX_VALUES = 125
@@ -148,18 +147,9 @@ def _trend(row: PollRow, _: DrawContext) -> Spans:
 
 
 POLL_COLUMNS = (
-    WatchColumn(
-        name="link", title="link", width=15, is_usual=False,
-        cell=lambda row, _: row.poll.link, sort=lambda row: row.poll.link,
-    ),
-    WatchColumn(
-        name="master", title="master", width=15, is_usual=False,
-        cell=lambda row, _: row.poll.master, sort=lambda row: row.poll.master,
-    ),
-    WatchColumn(
-        name="unit", title="un", width=3, is_right=True,
-        cell=lambda row, _: str(row.poll.unit), sort=lambda row: row.poll.unit,
-    ),
+    plain_column("link", "link", 15, "poll.link", is_usual=False),
+    plain_column("master", "master", 15, "poll.master", is_usual=False),
+    plain_column("unit", "un", 3, "poll.unit", is_right=True),
     WatchColumn(
         name="request", title="request", width=23, least=10, cell=_poll_request,
         sort=lambda row: (row.poll.function, row.poll.address or 0),
@@ -177,9 +167,8 @@ POLL_COLUMNS = (
         name="every", title="every", width=6, is_right=True, rank=4, is_spared=True,
         cell=_poll_period, sort=lambda row: (not row.has_regular_period, row.period_ns),
     ),
-    WatchColumn(
-        name="count", title="count", width=5, is_right=True, rank=3, is_spared=True,
-        cell=lambda row, _: count(row.asked), sort=lambda row: row.asked,
+    plain_column(
+        "count", "count", 5, "asked", text=count, is_right=True, rank=3, is_spared=True,
     ),
     WatchColumn(
         name="errors", title="err", width=4, is_right=True, cell=_errors, rank=1, is_spared=True,
@@ -189,14 +178,8 @@ POLL_COLUMNS = (
         name="ms", title="ms", width=5, is_right=True, cell=_last_ms, rank=5,
         sort=lambda row: (row.latencies[-1] or 0) if row.latencies else 0,
     ),
-    WatchColumn(
-        name="max", title="max", width=5, is_right=True, is_usual=False,
-        cell=lambda row, _: in_ms(row.slowest_ns), sort=lambda row: row.slowest_ns,
-    ),
-    WatchColumn(
-        name="retries", title="retr", width=4, is_right=True, is_usual=False,
-        cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
-    ),
+    plain_column("max", "max", 5, "slowest_ns", text=in_ms, is_right=True, is_usual=False),
+    plain_column("retries", "retr", 4, text=count, is_right=True, is_usual=False),
     WatchColumn(
         name="trend", title="latency", width=8, cell=_trend, rank=6,
         sort=lambda row: row.slowest_ns,
@@ -220,23 +203,16 @@ def _point_value(row: WatchedPointRow, context: DrawContext) -> Spans:
 
 
 POINT_COLUMNS = (
-    WatchColumn(
-        name="link", title="link", width=15, is_usual=False,
-        cell=lambda row, _: row.link, sort=lambda row: row.link,
-    ),
-    WatchColumn(
-        name="unit", title="un", width=3, is_right=True,
-        cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
-    ),
+    plain_column("link", "link", 15, is_usual=False),
+    plain_column("unit", "un", 3, is_right=True),
     WatchColumn(
         name="reference", title="reference", width=14, least=9,
         cell=lambda row, _: row.reference,
         sort=lambda row: (row.device or "", row.reference.rstrip("0123456789"),
                           len(row.reference), row.reference),
     ),
-    WatchColumn(
-        name="name", title="name", width=0, least=4, least_share=_LEAST_NAME,
-        cell=lambda row, _: row.name, sort=lambda row: row.name,
+    plain_column(
+        "name", "name", 0, least=4, least_share=_LEAST_NAME,
         fit=lambda row, _, width: [(cut_name(row.name, width), "")],
     ),
     WatchColumn(
@@ -244,10 +220,7 @@ POINT_COLUMNS = (
         cell=_point_value,
         sort=lambda row: (row.value is None, row.value or 0, row.text),
     ),
-    WatchColumn(
-        name="before", title="before", width=10, rank=2,
-        cell=lambda row, _: row.before, sort=lambda row: row.before,
-    ),
+    plain_column("before", "before", 10, rank=2),
     WatchColumn(
         name="changed", title="chgd", width=4, is_right=True,
         cell=lambda row, context: age(context.now_ns - row.changed_ns) if row.changed_ns else "",
@@ -258,10 +231,7 @@ POINT_COLUMNS = (
         cell=lambda row, context: age(context.now_ns - row.last_ns),
         sort=lambda row: -row.last_ns,
     ),
-    WatchColumn(
-        name="changes", title="chgs", width=5, is_right=True, rank=1,
-        cell=lambda row, _: count(row.changes), sort=lambda row: row.changes,
-    ),
+    plain_column("changes", "chgs", 5, text=count, is_right=True, rank=1),
     WatchColumn(
         name="device", title="device", width=16, is_usual=False,
         cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",

@@ -10,13 +10,21 @@ from mbtool.devices import finding_text
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome
 from mbtool.views.cells import ARROW, event_text, result_text, transaction_text
-from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn, cut_spans
+from mbtool.views.watch_columns import (
+    LEAST_REST,
+    DrawContext,
+    Spans,
+    WatchColumn,
+    cut_spans,
+    plain_column,
+)
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_words import age, count, in_table_words
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from mbtool.watching.board import RecordRow, TroubleRow, WatchedSlaveRow
+    from mbtool.watching.board import RecordRow, WatchedSlaveRow
+    from mbtool.watching.watched_rows import TroubleRow
 
 _STYLES = {
     Outcome.EXCEPTION: "red",
@@ -177,10 +185,7 @@ TROUBLE_COLUMNS = (
     WatchColumn(
         name="code", title="what", width=14, least=6, cell=_trouble_code, sort=lambda row: row.code,
     ),
-    WatchColumn(
-        name="count", title="count", width=5, is_right=True,
-        cell=lambda row, _: count(row.times), sort=lambda row: row.times,
-    ),
+    plain_column("count", "count", 5, "times", text=count, is_right=True),
     WatchColumn(
         name="unit", title="un", width=3, is_right=True,
         cell=lambda row, _: _unit(row), sort=lambda row: -1 if row.unit is None else row.unit,
@@ -193,10 +198,7 @@ TROUBLE_COLUMNS = (
         name="last", title="last UTC", width=8,
         cell=lambda row, _: clock_time(row.last_ns)[:8], sort=lambda row: row.last_ns,
     ),
-    WatchColumn(
-        name="link", title="link", width=15, is_usual=False,
-        cell=lambda row, _: row.link, sort=lambda row: row.link,
-    ),
+    plain_column("link", "link", 15, is_usual=False),
     WatchColumn(
         name="text", title="meaning, or last event", width=0, least=LEAST_REST,
         least_share=_LEAST_MEANING, cell=trouble_text,
@@ -234,48 +236,29 @@ def _failures(name: str, title: str) -> WatchColumn:
     )  # fmt: skip
 
 
+def _known_ms(ns: int) -> str:
+    return in_ms(ns) if ns else ""
+
+
 SLAVE_COLUMNS = (
-    WatchColumn(
-        name="link", title="link", width=15, is_usual=False,
-        cell=lambda row, _: row.link, sort=lambda row: row.link,
-    ),
-    WatchColumn(
-        name="unit", title="un", width=3, is_right=True,
-        cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
-    ),
+    plain_column("link", "link", 15, is_usual=False),
+    plain_column("unit", "un", 3, is_right=True),
     WatchColumn(
         name="device", title="device", width=16, least=6, rank=4,
         cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",
     ),
-    WatchColumn(
-        name="asked", title="asked", width=5, is_right=True,
-        cell=lambda row, _: count(row.asked), sort=lambda row: row.asked,
-    ),
+    plain_column("asked", "asked", 5, text=count, is_right=True),
     _failures("exceptions", "exc"),
     _failures("missing", "miss"),
-    WatchColumn(
-        name="retries", title="retry", width=5, is_right=True, rank=3,
-        cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
-    ),
-    WatchColumn(
-        name="p50", title="p50ms", width=5, is_right=True,
-        cell=lambda row, _: in_ms(row.median_ns) if row.median_ns else "",
-        sort=lambda row: row.median_ns,
-    ),
-    WatchColumn(
-        name="max", title="maxms", width=5, is_right=True, rank=2,
-        cell=lambda row, _: in_ms(row.slowest_ns) if row.slowest_ns else "",
-        sort=lambda row: row.slowest_ns,
-    ),
+    plain_column("retries", "retry", 5, text=count, is_right=True, rank=3),
+    plain_column("p50", "p50ms", 5, "median_ns", text=_known_ms, is_right=True),
+    plain_column("max", "maxms", 5, "slowest_ns", text=_known_ms, is_right=True, rank=2),
     WatchColumn(
         name="age", title="age", width=4, is_right=True, rank=1,
         cell=lambda row, context: age(context.now_ns - row.last_ns),
         sort=lambda row: -row.last_ns,
     ),
-    WatchColumn(
-        name="findings", title="find", width=4, is_right=True, is_usual=False,
-        cell=lambda row, _: count(row.findings), sort=lambda row: row.findings,
-    ),
+    plain_column("findings", "find", 4, text=count, is_right=True, is_usual=False),
     WatchColumn(
         name="state", title="state", width=0, least=LEAST_REST, least_share=_LEAST_STATE,
         cell=slave_state,

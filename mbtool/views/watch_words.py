@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -10,8 +11,6 @@ from mbtool.modbus.functions import ExceptionCode
 from mbtool.views.cells import short_exception
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import NamedTransaction
 
 FRESH_NS = 1_000_000_000
@@ -85,7 +84,7 @@ def sparkline(values: Sequence[float | None], width: int) -> str:
     An x stands for None, which is a request without a response, and for a number that is not
     finite.
     """
-    shown = values[-width:]
+    shown = [*values][-width:]
     numbers = [one for one in shown if one is not None and one == one and abs(one) != float("inf")]
     low, high = (min(numbers), max(numbers)) if numbers else (0, 0)
     text = ""

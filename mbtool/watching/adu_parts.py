@@ -5,13 +5,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from mbtool.core import Direction
 from mbtool.modbus import Transport
 from mbtool.modbus.pdu import LAYOUTS
-
-if TYPE_CHECKING:
-    from mbtool.core import Direction
 
 _MBAP = (("transaction id", 2), ("protocol id", 2), ("length", 2), ("unit", 1))
 _SERIAL = (("unit", 1),)

@@ -12,16 +12,18 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, overload
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.ledger.account import MAX_POLLS, Account
 from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import report, unit_tallies
-from mbtool.modbus import FUNCTIONS, Outcome, Verdict
+from mbtool.modbus import FUNCTIONS, Outcome, Table, Verdict
 from mbtool.modbus.functions import MASK_WRITE_REGISTER, READ_WRITE_REGISTERS
 from mbtool.modbus.response import MAX_FRAMES
 from mbtool.values.guessed_series import guessed_name
@@ -29,24 +31,20 @@ from mbtool.watching.guessed_points import GuessedPoints, number_of
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
+    Record,
+    TroubleRow,
     WatchedPoint,
     WatchedPoll,
-    WatchedTrouble,
     errors_of,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Mapping
-
-    from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.ledger.poll_statistics import PollKey, PollStatistics
     from mbtool.ledger.unit_account import UnitAccount
-    from mbtool.modbus import Table
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Trouble
     from mbtool.values.judging import Judged
-    from mbtool.watching.watched_rows import Record
 
 # The code below makes table rows from a board (the figures of live views): copies, which do not
 # change later.
@@ -54,6 +52,7 @@ if TYPE_CHECKING:
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""
 _AT_NS = attrgetter("at_ns")
+_FIELDS = attrgetter(*(one.name for one in fields(WatchedPoint)))
 
 
 class PollRow(NamedTuple):
@@ -85,27 +84,14 @@ class PollRow(NamedTuple):
     latencies: Sequence[int | None]
 
 
-class WatchedPointRow(NamedTuple):
+@dataclass(slots=True, kw_only=True)
+class WatchedPointRow(WatchedPoint):
     """A row for a point (a value named by the slave's profile), or an unnamed register or bit."""
 
     key: Hashable
     kept: KeptRecord
     """The last transaction of the poll (repeated request) that gave the value."""
-    link: str
-    unit: int
-    device: str | None
-    reference: str
-    name: str
-    table: Table | None
-    value: int | float | None
-    text: str
-    value_unit: str | None
-    before: str
-    changed_ns: int
     last_ns: int
-    changes: int
-    is_written: bool
-    history: Sequence[float]
     pair: tuple[int, int] | None
     """The numbers in this register and in the next one, to be shown as a 32-bit float; None if no
     response had both."""
@@ -152,20 +138,6 @@ class WatchedSlaveRow(NamedTuple):
     """Under a filter, the row of the same unit for all records, by which it is judged."""
     troubles: tuple[Trouble, ...]
     """The troubles of the unit, the worst first."""
-
-
-class TroubleRow(NamedTuple):
-    """A row for all findings of one code, or events of one kind, about one unit of a link."""
-
-    key: Hashable
-    kept: KeptRecord
-    code: str
-    is_finding: bool
-    link: str
-    unit: int | None
-    times: int
-    first_ns: int
-    last_ns: int
 
 
 def poll_rows(board: Board) -> list[PollRow]:
@@ -238,7 +210,7 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     findings: Counter[tuple[str, int | None]] = Counter()
     for kind in board.troubles.values():
         if kind.is_finding:
-            findings[kind.link, kind.unit] += kind.count
+            findings[kind.link, kind.unit] += kind.times
     links = report(board.account, with_cycles=False)
     retries: Counter[tuple[str, int]] = Counter()
     for link in links:
@@ -260,14 +232,7 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
     """Return findings and events by kind; the kind that occurred last is at the end."""
-    rows = [
-        TroubleRow(
-            key, one.last, one.code, one.is_finding, one.link, one.unit, one.count, one.first_ns,
-            one.last_ns,
-        )
-        for key, one in board.troubles.items()
-    ]  # fmt: skip
-    return sorted(rows, key=lambda row: row.kept.order)
+    return sorted(map(copy, board.troubles.values()), key=lambda row: row.kept.order)
 
 
 def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
@@ -298,26 +263,12 @@ def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
 
 
 def _point_row(key: Hashable, point: WatchedPoint) -> WatchedPointRow:
-    return WatchedPointRow(
-        key=key,
-        kept=point.poll.last,
-        link=point.link,
-        unit=point.unit,
-        device=point.device,
-        reference=point.reference,
-        name=point.name,
-        table=point.table,
-        value=point.value,
-        text=point.text,
-        value_unit=point.value_unit,
-        before=point.before,
-        changed_ns=point.changed_ns,
-        last_ns=point.poll.last_ns,
-        changes=point.changes,
-        is_written=point.is_written,
-        history=tuple(point.history),
-        pair=_pair(point),
+    poll = point.poll
+    row = WatchedPointRow(
+        *_FIELDS(point), key=key, kept=poll.last, last_ns=poll.last_ns, pair=_pair(point)
     )
+    row.history = point.history.copy()
+    return row
 
 
 def _pair(point: WatchedPoint) -> tuple[int, int] | None:
@@ -423,7 +374,7 @@ class Board:
         """The polls (repeated requests) by their number, which counts them from 0 in the order in
         which they were first sent. The one that was sent last is at the end."""
         self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
-        self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
+        self.troubles: dict[tuple[str, str, int | None], TroubleRow] = {}
         self.guesses: GuessedPoints | None = GuessedPoints()
         """The registers that are surely one number; None to show words."""
         self.left_out = 0
@@ -677,12 +628,12 @@ class Board:
         row = self.troubles.get((_BAD_CHECK, link, None))
         if row is None:
             return False
-        row.count -= 1
-        if not row.count:
+        row.times -= 1
+        if not row.times:
             del self.troubles[_BAD_CHECK, link, None]
             return True
-        row.last_ns, row.last = left[-1]
-        if len(left) == row.count:
+        row.last_ns, row.kept = left[-1]
+        if len(left) == row.times:
             row.first_ns = left[0][0]
         return True
 
@@ -696,9 +647,9 @@ class Board:
                 self.left_out += 1
                 return
             is_finding = not isinstance(kept.record, WireEvent)
-            row = self.troubles[key] = WatchedTrouble(code, is_finding, link, unit, at_ns, kept)
-        row.last, row.last_ns = kept, at_ns
-        row.count += 1
+            row = self.troubles[key] = TroubleRow(code, is_finding, link, unit, at_ns, kept)
+        row.kept, row.last_ns = kept, at_ns
+        row.times += 1
 
 
 def _is_cut_off(record: Record) -> bool:

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,6 @@ from mbtool.values.judging import Judged, WordHistory, judge
 from mbtool.values.word_readings import numbers_in
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus import Table
 
 JUDGED_AT = (24, 64)

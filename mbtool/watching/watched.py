@@ -8,25 +8,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from heapq import merge
 from itertools import islice
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import SerialFormat, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.ledger.statistics_report import report
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 from mbtool.watching.board import MAX_KEPT, Board
-from mbtool.watching.watched_rows import kept_record
+from mbtool.watching.watched_rows import KeptRecord, Record, kept_record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.troubles.judge import Judgement
-    from mbtool.watching.watched_rows import KeptRecord, Record
 
     Wanted = Callable[[NamedTransaction], bool]
 

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -142,8 +143,8 @@ class WatchedPoint:
 
 
 @dataclass(slots=True)
-class WatchedTrouble:
-    """All findings of one code, or events of one kind, about one unit of a link."""
+class TroubleRow:
+    """A row for all findings of one code, or events of one kind, about one unit of a link."""
 
     code: str
     """The code of the finding, or the kind of the event."""
@@ -151,9 +152,14 @@ class WatchedTrouble:
     link: str
     unit: int | None
     first_ns: int
-    last: KeptRecord
+    kept: KeptRecord
+    """The last transaction with the finding, or the last event."""
     last_ns: int = 0
-    count: int = 0
+    times: int = 0
+
+    @property
+    def key(self) -> Hashable:
+        return self.code, self.link, self.unit
 
 
 def errors_of(tally: RequestTally) -> int:

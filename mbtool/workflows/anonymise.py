@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import secrets
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from heapq import merge
@@ -21,6 +22,7 @@ from mbtool.core import (
     Connection,
     Endpoint,
     InputError,
+    LinkSpec,
     Packet,
     UsageError,
     WireEvent,
@@ -36,18 +38,13 @@ from mbtool.logs.writer import LogWriter
 from mbtool.modbus import Transport
 from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.anonymous_packets import AnonymousChoice, AnonymousPackets
-from mbtool.workflows.shared.pcapng_output import NumberedPacket
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.pcapng_output import NumberedPacket, Shown
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mbtool.core import LinkSpec
     from mbtool.packets import CaptureHead
-    from mbtool.workflows.shared.pcapng_output import Shown
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.wire_streams import WirePiece
 
 KEY_BYTES = 32

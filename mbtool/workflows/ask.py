@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import SerialLink, TcpLink
+from mbtool.core import LinkSpec, SerialLink, TcpLink, WireEvent
 from mbtool.core.moments import milliseconds
 from mbtool.decode.connections import skipped_event
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, PointValue, Who, write_reference
 from mbtool.ledger.distribution import Distribution
-from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus import FUNCTIONS, Adu, Outcome
 from mbtool.modbus.adu import Transport
 from mbtool.ports.clock import steady_clock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.core import LinkSpec, WireEvent
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.master.links import MasterLink
-    from mbtool.modbus import Adu
 
 ANSWERED_OUTCOMES = (Outcome.OK, Outcome.BROADCAST)
 

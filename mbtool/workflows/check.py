@@ -11,12 +11,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import EventKind, InputError, UsageError, WireEvent
+from mbtool.core import EventKind, InputError, SerialFormat, UsageError, WireEvent
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.devices import NamedTransaction, Namer, builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, Namer, Profile, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES, Severity
@@ -27,28 +28,21 @@ from mbtool.ledger.request_tally import merged
 from mbtool.logs.rotation import with_parts
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.columns.quiet_rows import BlockRows
-    from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
-    from mbtool.devices import Profile
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
-    from mbtool.troubles.judge import Judgement
-    from mbtool.workflows.shared.read_all import Watch
-    from mbtool.workflows.shared.reading import ReadingOptions
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 

@@ -20,29 +20,25 @@ from __future__ import annotations
 
 import random
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction, LinkError, SerialLink, TcpLink
+from mbtool.core import Direction, LinkError, LinkSpec, SerialFormat, SerialLink, TcpLink
 from mbtool.core.limits import LAST_UNIT
 from mbtool.core.moments import counted, duration, milliseconds
-from mbtool.master.wire import Heard, TcpWire
+from mbtool.master.wire import Heard, TcpWire, Wire
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
-from mbtool.modbus.tables import READS_OF_TABLE
+from mbtool.modbus.tables import READS_OF_TABLE, Table
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import LinkSpec, SerialFormat
     from mbtool.devices import Profile, Span
-    from mbtool.master.wire import Wire
-    from mbtool.modbus.tables import Table
 
 _READS = {1: "6.1", 2: "6.2", 3: "6.3", 4: "6.4"}
 """The functions that read, and their sections of the Application Protocol V1.1b3."""

@@ -16,8 +16,8 @@ import os
 import platform
 import re
 import shlex
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 
@@ -37,7 +37,7 @@ from mbtool.core import (
 from mbtool.core.errors import reason_of
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.replacing import replacing
-from mbtool.devices import profile_to_json
+from mbtool.devices import NamedTransaction, profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.opening import typed_command
@@ -53,21 +53,16 @@ from mbtool.packets.line_packets import (
 )
 from mbtool.packets.made_packets import PacketMaker
 from mbtool.packets.tcp_ends import tcp_ends
-from mbtool.workflows.shared.conversion_inputs import grouped
+from mbtool.workflows.shared.conversion_inputs import InputGroup, grouped
 from mbtool.workflows.shared.evidence_reading import device_of
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import CountedWork, Watch, unwatched
 from mbtool.workflows.shared.undecoded_logs import evidence_and_events
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import LogItem
-    from mbtool.workflows.shared.conversion_inputs import InputGroup
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 
@@ -296,7 +291,7 @@ class Conversion:
         return [NumberedPacket(packet, (one.message,)) for one, packet in packets if packet]
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
-        read = _EvidencePass(group.marks.items)
+        read = CountedWork(group.marks.items, "packets", "writing")
         items = self._watch(read, read.counted(group.evidence()))
         pieces = (one for one in _cut(group, items) if self._keeps(group, one))
         if any(key.connection is None and key.direction is not Direction.UNKNOWN
@@ -413,31 +408,6 @@ class _Cut(NamedTuple):
     number: int
     """The number of the packet in its capture, from 1; 0 if `item` is a frame or other serial
     bytes."""
-
-
-@dataclass
-class _EvidencePass:
-    """How much of the evidence of a capture was read again."""
-
-    items: int
-    done: int = 0
-
-    @property
-    def fraction(self) -> float | None:
-        return min(self.done / self.items, 1.0) if self.items else None
-
-    @property
-    def progress_text(self) -> str:
-        return "writing"
-
-    @property
-    def noun(self) -> str:
-        return "packets"
-
-    def counted(self, items: Iterable[T]) -> Iterator[T]:
-        for item in items:
-            self.done += 1
-            yield item
 
 
 def _cut(group: InputGroup, items: Iterable[Chunk | Packet | WireEvent]) -> Iterator[_Cut]:

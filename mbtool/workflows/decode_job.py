@@ -7,15 +7,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from os.path import abspath
-from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.cluster.executors import DaskCluster, LocalProcesses
+from mbtool.cluster.executors import DaskCluster, Executor, LocalProcesses
 from mbtool.cluster.plan import (
     MAX_FILES,
     Around,
@@ -31,11 +30,6 @@ from mbtool.cluster.plan import (
 from mbtool.cluster.store import OutputStore, is_store_address, list_inputs
 from mbtool.sources.child import start_child
 from mbtool.workflows.decode_run import DONE, FAILED, RECORDS, DecodeTask, FileOutcome, decode_run
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.cluster.executors import Executor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

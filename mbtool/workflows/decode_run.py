@@ -21,6 +21,7 @@ FileOutcomes, one for each file, as JSON in hexadecimal digits.
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,8 +43,6 @@ from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.columns.schema import Table
     from mbtool.devices import NamedTransaction
 

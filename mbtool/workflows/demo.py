@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -18,17 +19,18 @@ from mbtool.core import (
     Direction,
     Endpoint,
     LinkError,
+    LinkSpec,
     SerialFormat,
     SerialLink,
     TapLink,
     TcpLink,
     WireEvent,
 )
-from mbtool.decode.decoder import Decoder
+from mbtool.decode.decoder import Decoder, Record
 from mbtool.devices import Assignments, Namer, load_profile, parse_assignment
 from mbtool.logs.opening import create_log
 from mbtool.master.links import MasterLink, open_master
-from mbtool.modbus import Table, encode_pdu
+from mbtool.modbus import Responder, Table, encode_pdu
 from mbtool.replay import RecordedSlave, Recording
 from mbtool.slave.device import RegisterImage, units_on
 from mbtool.slave.families import make_device
@@ -39,11 +41,6 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.sniff import Sniffer, serial_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import LinkSpec
-    from mbtool.decode.decoder import Record
-    from mbtool.modbus import Responder
     from mbtool.modbus.layouts import Value
 
 LINE = SerialFormat(19200, 8, "E", 1)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from mbtool.core import InputError, WireEvent
-from mbtool.devices import Difference, NamedTransaction, Span, parse_span
+from mbtool.devices import Difference, NamedTransaction, Profile, Span, parse_span
 from mbtool.replay import Ignored, Traffic, differences
 from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-
-if TYPE_CHECKING:
-    from mbtool.devices import Profile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ import os
 import platform
 import shutil
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.util import find_spec
@@ -23,8 +24,6 @@ from mbtool.core.extras import installer, requirements
 from mbtool.workflows.extcap_install import scripts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
     from mbtool.core.local_ports import LocalSerialPort, PortTrouble
 
 OLDEST_PYTHON = (3, 11)

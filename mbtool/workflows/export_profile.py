@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.devices import dump_profile, profile_to_json
+from mbtool.devices import Profile, dump_profile, profile_to_json
 from mbtool.devices.exporting.exported_points import ExportedMap
 from mbtool.devices.exporting.home_assistant import export_home_assistant
 from mbtool.devices.exporting.register_list import export_register_list
 from mbtool.devices.exporting.sunspec_model import export_sunspec
 from mbtool.devices.exporting.telegraf import export_telegraf
-
-if TYPE_CHECKING:
-    from mbtool.devices import Profile
 
 
 class ExportForm(StrEnum):

@@ -16,21 +16,18 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 
-from mbtool.core import Chunk, Direction, Stamp, WireEvent
-from mbtool.devices import profile_to_json
+from mbtool.core import Chunk, Direction, SerialLink, Stamp, WireEvent
+from mbtool.devices import Assignments, NamedTransaction, profile_to_json
 from mbtool.logs.links import SPEC
 from mbtool.modbus.adu import DirectionBy
 from mbtool.packets import CaptureHead
 from mbtool.packets.line_packets import LOCAL_BLOCK, RAW_IPV4, RTAC_SERIAL
 from mbtool.workflows.shared.evidence_reading import comments_of, frames_of
 from mbtool.workflows.shared.pcapng_output import PieceWriter
-from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece
+from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WireFrame, WirePiece
 
 if TYPE_CHECKING:
-    from mbtool.core import SerialLink
     from mbtool.decode.decoder import Record
-    from mbtool.devices import Assignments, NamedTransaction
-    from mbtool.workflows.shared.wire_streams import WireFrame
 
 
 class LivePackets:

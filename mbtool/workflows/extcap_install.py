@@ -14,14 +14,11 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
 from mbtool.core.errors import reason_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 NAME = "mbtool-extcap"
 _MARK = "made by mbtool extcap --install"

@@ -10,30 +10,27 @@ from __future__ import annotations
 
 import threading
 from bisect import insort
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.core.moments import moment
-from mbtool.devices.observed_slave import MAX_SAMPLED
+from mbtool.devices.observed_slave import MAX_SAMPLED, ObservedRequest, ObservedSlave
 from mbtool.ports.clock import now_ns
 from mbtool.values.finding import Sighting, Wanted, WordsOfSlave, find, find_changed
 from mbtool.values.judging import WordHistory
-from mbtool.values.sightings import wanted_of
+from mbtool.values.sightings import Seen, SeenTime, wanted_of
 from mbtool.values.value_series import histories_of
 from mbtool.workflows.shared.observed_slaves import ObservedSlaves
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
     from contextlib import ExitStack
 
     from mbtool.decode.decoder import Record
     from mbtool.devices import Who
-    from mbtool.devices.observed_slave import ObservedRequest, ObservedSlave
     from mbtool.values.finding import ChangedPlace, FoundPlace
-    from mbtool.values.sightings import Seen, SeenTime
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.sniff import Sniffer
 
 _Row = tuple[int, tuple[int, ...]]

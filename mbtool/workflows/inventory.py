@@ -12,7 +12,7 @@ import msgspec
 
 from mbtool.core import InputError
 from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
-from mbtool.ledger.baseline import changes
+from mbtool.ledger.baseline import InventoryChange, changes
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import inventory
 from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
@@ -23,7 +23,6 @@ from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import ReadingOptions
 
 if TYPE_CHECKING:
-    from mbtool.ledger.baseline import InventoryChange
     from mbtool.troubles.judge import Judgement
 
 _DOCUMENT_BEGINS = b"{"

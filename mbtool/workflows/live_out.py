@@ -11,6 +11,7 @@ import json
 import os
 import re
 import subprocess
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Self, TypeAlias
@@ -24,8 +25,6 @@ from mbtool.views.openmetrics import openmetrics
 from mbtool.views.trouble_lines import trouble_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import PointMessage

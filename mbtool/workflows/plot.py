@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import InputError, UsageError, WireEvent
@@ -10,15 +11,12 @@ from mbtool.values.chosen_values import ChosenValues, NamedAddresses
 from mbtool.values.guessed_series import with_guesses
 from mbtool.values.values import SeriesKey, Values
 from mbtool.workflows.shared.questions import Wording
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.values.value_series import ValueSeries
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.time_window import TimeWindow
 
 

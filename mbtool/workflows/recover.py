@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
@@ -15,9 +15,6 @@ from mbtool.logs.creating import demand_unlocked
 from mbtool.logs.opening import check_log_path
 from mbtool.logs.recovery import LogLoss, Recovered, Recovery
 from mbtool.sources.files import STANDARD_INPUT, CaptureFile, CaptureKind, open_capture
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _SIGN = b"mbtool.capture"
 """The name of the metadata record at the beginning of each log. A file that contains this name in

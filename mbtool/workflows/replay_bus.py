@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core import LinkSpec, SerialLink, UsageError
 from mbtool.core.moments import SECOND_NS
 from mbtool.ports.serial_opening import open_port, port_in_use
-from mbtool.replay import BusPlayer, PlayClock, Steering
+from mbtool.replay import BusPlayer, PlayClock, PlayerControls, Steering
 from mbtool.workflows.shared.bus_recording import read_pieces
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.recorded import PlayOptions, lateness_p99_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.replay import PlayerControls
-    from mbtool.workflows.shared.read_all import Watch
 
 _LOOP_GAP_NS = SECOND_NS
 """With --loop, this much recorded time (ns) passes between the end of the recording and its next

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import InputError, LinkError, TcpLink, UsageError
+from mbtool.core import InputError, LinkError, LinkSpec, TcpLink, UsageError, WireEvent
 from mbtool.core.moments import SECOND_NS, counted, plural
 from mbtool.devices import Difference, DifferenceKind, Span, parse_span, write_reference
 from mbtool.master.connections import ConnectionsMaster
-from mbtool.master.links import open_master
+from mbtool.master.links import MasterLink, open_master
 from mbtool.modbus import Outcome
 from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay import (
@@ -34,7 +34,7 @@ from mbtool.replay.damaged import damaged_answers
 from mbtool.replay.script import Action, ConnectionStep
 from mbtool.replay.tolerances import Tolerances
 from mbtool.views.junit import Case, junit_xml
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.recorded import (
     PlayOptions,
     lateness_p99_ns,
@@ -44,10 +44,7 @@ from mbtool.workflows.shared.recorded import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.core import LinkSpec, WireEvent
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.master.links import MasterLink
-    from mbtool.workflows.shared.read_all import Watch
 
 _AT_ONCE_NS = 200_000
 """If the call that sends a request takes less than this (ns), the time before the call counts as

@@ -20,27 +20,20 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.core import Endpoint, InputError, LinkSpec, TcpLink, UsageError, parse_link
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.link_spec import ANSWERED
-from mbtool.devices import parse_who
+from mbtool.devices import NamedTransaction, Who, parse_who
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
-from mbtool.slave.shells import slave_link
+from mbtool.slave.shells import OnExchange, slave_link
 from mbtool.slave.shells.opening import ShellGroup
-from mbtool.workflows.replay_slave import PlayedSlave, SlaveRun
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.replay_slave import PlayedSlave, SlaveOptions, SlaveRun
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.recorded import demand_one_slave_each, read_recorded, where_none
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from mbtool.devices import NamedTransaction, Who
-    from mbtool.slave.shells import OnExchange
-    from mbtool.workflows.replay_slave import SlaveOptions
-    from mbtool.workflows.shared.read_all import Watch
 
 MAX_LINKS = 256
 ALL = "all"

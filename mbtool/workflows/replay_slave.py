@@ -6,13 +6,14 @@ import random
 import re
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbtool.core import InputError, SerialLink, TcpLink, UsageError
-from mbtool.modbus import Transport
+from mbtool.core import InputError, LinkSpec, SerialLink, TcpLink, UsageError
+from mbtool.modbus import Responder, Response, Table, Transport
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
     ConnectionPlayer,
@@ -29,23 +30,17 @@ from mbtool.replay import (
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.device.responder import is_line
 from mbtool.slave.families import make_device
-from mbtool.slave.shells import open_shell, slave_link
+from mbtool.slave.shells import OnExchange, Shell, open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, Recorded, read_recorded, where_none
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Callable
 
-    from mbtool.core import LinkSpec
     from mbtool.devices import Profile
-    from mbtool.modbus import Responder, Response, Table
     from mbtool.replay import AnsweredFrom, Control, Progress, RequestKind
     from mbtool.slave.device.connection_policy import ConnectionPolicy
-    from mbtool.slave.shells import OnExchange, Shell
-    from mbtool.workflows.shared.read_all import Watch
-    from mbtool.workflows.shared.recorded import Recorded
 
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)

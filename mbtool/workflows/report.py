@@ -6,11 +6,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
-from mbtool.devices import builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
 from mbtool.ledger.advice import advice_of
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import inventory
@@ -35,20 +36,15 @@ from mbtool.views.report.contents import (
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.views.statistics_summary import TOGETHER_TEXT
-from mbtool.workflows.check import CheckRun
+from mbtool.workflows.check import CheckedRecord, CheckRun, CodeFilter
 from mbtool.workflows.diff import DiffOptions, compare
-from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.read_all import Watch, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.columns.quiet_rows import BlockRows
-    from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
-    from mbtool.workflows.check import CheckedRecord, CodeFilter
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError
@@ -11,14 +12,11 @@ from mbtool.sources.files import shown_name
 from mbtool.version import __version__
 from mbtool.views.report.folder_page import UNREAD, FileVerdict, folder_page
 from mbtool.views.trouble_lines import trouble_text
-from mbtool.workflows.check import CheckRun
+from mbtool.workflows.check import CheckRun, CodeFilter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.query.where import Where
     from mbtool.views.report.contents import ReportWords
-    from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 

@@ -22,6 +22,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -36,8 +37,6 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import READS_OF_TABLE, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.devices import NamedTransaction
 
 _TABLES = (

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core import SerialLink, UsageError
+from mbtool.core import LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignment, Assignments, Profile, Who
-from mbtool.modbus import Transport
+from mbtool.modbus import Responder, Transport
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.device import (
+    Behaviour,
     DeviceResponder,
     DrivenDevice,
     RegisterImage,
@@ -21,17 +22,11 @@ from mbtool.slave.device import (
     units_on,
 )
 from mbtool.slave.families import make_device
-from mbtool.slave.shells import keep_state, open_shell, slave_link
+from mbtool.slave.shells import Shell, keep_state, open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
 from mbtool.workflows.shared.recorded_values import recorded_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.core import LinkSpec, TcpLink
-    from mbtool.modbus import Responder
-    from mbtool.slave.device import Behaviour
-    from mbtool.slave.shells import Shell
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 

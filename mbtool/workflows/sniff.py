@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self, TypeGuard
 
@@ -21,6 +22,7 @@ from mbtool.core import (
     Chunk,
     EventKind,
     LinkError,
+    LinkSpec,
     Packet,
     SerialLink,
     TapLink,
@@ -32,26 +34,21 @@ from mbtool.modbus import Outcome
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.ports.host_names import HostLookup
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
-from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.inbox import Ended, Inbox, Item
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
 from mbtool.workflows.shared.capture_parts import MissingParts
-from mbtool.workflows.shared.recorder import Recorder
+from mbtool.workflows.shared.recorder import Log, Recorder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.core import LinkSpec
     from mbtool.decode.decoder import Decoder, Evidence, Record
-    from mbtool.sources.inbox import Item
     from mbtool.sources.source import LiveSource
-    from mbtool.workflows.shared.recorder import Log
 
 HURRY_NS = 500_000_000
 """If the caller is in a hurry, decoding goes on for at most this time (ns) after recording has
 ended."""
-CLOCK_LOOK_NS = 100_000_000
-"""The time (ns) between two checks if somebody has set the system's clock."""
+LOOK_NS = 100_000_000
+"""The time (ns) between two looks at the system's clock, the recorder and the names of hosts."""
 POLL_S = 0.1
 """The loop waits at most this long (seconds) for an item before it calls `stop` again."""
 MAX_REASONS = 64
@@ -179,13 +176,11 @@ class Sniffer:
         LinkError when the last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
-        while self._open and not stop(now_ns()):
+        while self._open and not stop(at_ns := now_ns()):
             item = self._undecoded.get(POLL_S)
-            self._report_clock_step()
-            for problem in self._lookup.problems():
-                self._on_remark(f"{problem}; masters are refused until there is one")
-            if self._recorder is not None:
-                self._recorder.check()
+            if at_ns - self._looked_ns >= LOOK_NS:
+                self._looked_ns = at_ns
+                self._look(at_ns)
             if isinstance(item, Ended):
                 self._open -= 1
                 lost = item.error or lost
@@ -199,14 +194,15 @@ class Sniffer:
         if lost is not None and not self._open:
             raise lost
 
-    def _report_clock_step(self) -> None:
-        """Put an event into the inbox if somebody has set the system's clock since the last
-        call.
+    def _look(self, at_ns: int) -> None:
+        """Raise the error that has ended the recording, if there is one. Tell the user which hosts
+        have no address. Put an event into the inbox if somebody has set the system's clock since
+        the last call. `at_ns` is the present time (UTC ns).
         """
-        at_ns = now_ns()
-        if at_ns - self._looked_ns < CLOCK_LOOK_NS:
-            return
-        self._looked_ns = at_ns
+        if self._recorder is not None:
+            self._recorder.check()
+        for problem in self._lookup.problems():
+            self._on_remark(f"{problem}; masters are refused until there is one")
         step_ns = self._clocks.take_step()
         if step_ns:
             way = "forward" if step_ns > 0 else "back"

@@ -5,21 +5,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import SerialFormat, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.ledger.account import Account
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices.assignment import Assignments
     from mbtool.query.where import Where
-    from mbtool.troubles.judge import Judgement
 
 ORDERED_AFTER_NS = 5_000_000_000
 """Live transactions wait for this time (ns) before they are sorted by the time of their requests. A

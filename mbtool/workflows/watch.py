@@ -16,19 +16,18 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from mbtool.core import MbtoolError, WireEvent
+from mbtool.core import MbtoolError, SerialFormat, WireEvent
 from mbtool.ports.clock import now_ns
 from mbtool.replay.clock import PlayClock
 from mbtool.watching.watched import Watched
 from mbtool.workflows.stats import ORDERED_AFTER_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
     from contextlib import ExitStack
 
-    from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.sniff import Sniffer

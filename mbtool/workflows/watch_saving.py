@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,8 +20,6 @@ from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from mbtool.devices import NamedTransaction
     from mbtool.logs import LogWriter, RotatingLog
     from mbtool.watching.watched import Watched

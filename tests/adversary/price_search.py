@@ -2,10 +2,14 @@
 
 Each target of tests/fuzz is a room with a reader: RTU and ASCII lines, streams, captures, packets,
 logs, profiles, text logs and so on. Inputs are changed at random; those with the most function
-calls for a byte are kept and changed further. Calls are counted, not timed, so a busy machine finds
-the same. The dearest input of each target is written into a folder, to become a case of
-tests/adversary/prices.py if it costs more than ordinary input by much.
+calls, in times of ordinary input, are kept and changed further. Calls are counted, not timed, so a
+busy machine finds the same. The dearest input of each target is written into a folder, to become a
+case of tests/adversary/prices.py if it costs more than ordinary input by much.
 """
+
+# Ordinary input takes so many calls a byte, or so many a packet and a record: an input may take the
+# larger of the two. A packet of few bytes takes as many calls as one of many. The bytes of a serial
+# line in packets may also take the calls of an ordinary line.
 
 from __future__ import annotations
 
@@ -15,8 +19,13 @@ import sys
 import time
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.decode.decoder import Decoder
+from mbtool.logs.healing import SoundRecords
+from mbtool.serial_line import AsciiSplitter, RtuSplitter
+from tests.adversary.prices import INPUTS, SHORT_LINE
+from tests.adversary.prices import run as decode
 from tests.fuzz.__main__ import mutated
 from tests.fuzz.seeds import seeds
 from tests.fuzz.targets import TARGETS
@@ -33,20 +42,39 @@ KEPT = 40
 """So many of the dearest inputs are changed further."""
 
 
-def calls(run: Callable[[bytes], None], data: bytes) -> int:
-    """The number of function calls that an input takes."""
-    count = 0
+PARTS = {Decoder.feed.__code__, SoundRecords.read.__code__}
+"""What is called once for a packet, and for a record of a log."""
+LINES = {RtuSplitter.feed.__code__, AsciiSplitter.feed.__code__}
 
-    def on_call(_frame: FrameType, event: str, _argument: object) -> None:
-        nonlocal count
-        count += event in ("call", "c_call")
+
+class Work(NamedTuple):
+    """What an input takes."""
+
+    calls: int
+    parts: int
+    """Packets and records."""
+    line_bytes: int
+    """Bytes of serial lines."""
+
+
+def work(run: Callable[[bytes], object], data: bytes) -> Work:
+    """Count the function calls that an input takes, and its parts."""
+    calls = parts = line_bytes = 0
+
+    def on_call(frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal calls, parts, line_bytes
+        calls += event in ("call", "c_call")
+        if event == "call" and frame.f_code in PARTS:
+            parts += 1
+        elif event == "call" and frame.f_code in LINES:
+            line_bytes += len(frame.f_locals["data"])
 
     sys.setprofile(on_call)
     try:
         run(data)
     finally:
         sys.setprofile(None)
-    return count
+    return Work(calls, parts, line_bytes)
 
 
 class Search:
@@ -56,19 +84,31 @@ class Search:
         self._run = TARGETS[name]
         self._chance = random.Random(f"{name} {seed}")
         self._run(b"")  # What is imported and made once is not counted.
-        self._fixed = calls(self._run, b"")
+        self._fixed = work(self._run, b"").calls
         self.tried = 0
         first = [data[:MOST_BYTES] for data in seeds(name)]
-        self._kept = sorted(((self.price(data), data) for data in first), reverse=True)
-        self.ordinary = median(
-            price * max(len(data), LEAST_BYTES) / len(data) for price, data in self._kept if data
-        )
+        for data in first:
+            self._run(data)
+        took = [(work(self._run, data), len(data)) for data in first if data]
+        self._byte = median((one.calls - self._fixed) / size for one, size in took)
         """Calls for a byte of ordinary input: the median of the first inputs."""
+        parted = [one for one, _ in took if one.parts and not one.line_bytes]
+        self._part = median(
+            (one.calls - self._fixed) / one.parts for one in parted or [Work(0, 1, 0)]
+        )
+        """Calls for a packet or record of ordinary input; 0 or less if it has none."""
+        line = INPUTS[SHORT_LINE].make(300)
+        self._line_byte = work(lambda data: decode(SHORT_LINE, data), line).calls / len(line)
+        self._kept = sorted(((self.price(data), data) for data in first), reverse=True)
 
     def price(self, data: bytes) -> float:
-        """Calls for a byte."""
+        """What an input takes, in times of ordinary input."""
         self.tried += 1
-        return (calls(self._run, data) - self._fixed) / max(len(data), LEAST_BYTES)
+        took = work(self._run, data)
+        ordinary = max(self._byte * max(len(data), LEAST_BYTES), self._part * took.parts)
+        if self._part > 0:
+            ordinary += self._line_byte * took.line_bytes
+        return (took.calls - self._fixed) / ordinary
 
     def step(self) -> None:
         """Change one of the dearest inputs, and keep the result if it is dearer than the last."""
@@ -85,7 +125,7 @@ class Search:
 
     @property
     def dearest(self) -> tuple[float, bytes]:
-        """The most calls for a byte, and the input that takes them."""
+        """The highest price, in times of ordinary input, and the input that has it."""
         return self._kept[0]
 
 
@@ -107,8 +147,8 @@ def main() -> None:
         price, data = search.dearest
         (given.keep / name).write_bytes(data)
         say(
-            f"{name}: {search.tried} inputs; the dearest, {len(data)} bytes, takes {price:.0f} "
-            f"calls for a byte, {price / search.ordinary:.1f} times ordinary input"
+            f"{name}: {search.tried} inputs; the dearest, {len(data)} bytes, takes {price:.1f} "
+            "times the calls of ordinary input"
         )
 
 

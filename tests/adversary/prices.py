@@ -149,6 +149,21 @@ def lossy_pipelined(size: int) -> bytes:
     return pcap([one for one in packets if rng.random() > 1 / 3])
 
 
+def lossy_both_ways(size: int) -> bytes:
+    """Requests with few ids, before each of which 384 bytes are lost, and responses, before each of
+    which 410 are: each loss may be up to 32 requests, and their responses.
+    """
+    rng, talk = random.Random(1), Talk()
+    packets = talk.handshake()
+    for _ in range(size):
+        one = rng.randrange(3)
+        talk.master.sequence += 384
+        packets.append(talk.request(mbap_adu(one, 1, READ)))
+        talk.slave.sequence += 410
+        packets.append(talk.response(mbap_adu(one, 1, VALUES)))
+    return pcap(packets)
+
+
 def connections(size: int) -> bytes:
     """Connections with one request each."""
     packets: list[Packet] = []
@@ -192,6 +207,16 @@ def ordinary_line(size: int) -> bytes:
         unit, address = 1 + number % 3, 16 * (number % 7)
         sent.append(rtu_adu(unit, struct.pack(">BHH", 3, address, 10)))
         sent.append(rtu_adu(unit, bytes([3, 20]) + rng.randbytes(20)))
+    return b"".join(sent)
+
+
+def short_line(size: int) -> bytes:
+    """Polls of one register of three units: frames of 7 and 8 bytes."""
+    rng, sent = random.Random(1), []
+    for number in range(size):
+        unit = 1 + number % 3
+        sent.append(rtu_adu(unit, struct.pack(">BHH", 3, number % 7, 1)))
+        sent.append(rtu_adu(unit, bytes([3, 2]) + rng.randbytes(2)))
     return b"".join(sent)
 
 
@@ -302,6 +327,8 @@ class Input(NamedTuple):
 
 
 LINE = "ordinary line"
+"""Long frames, as few a byte as lines have."""
+SHORT_LINE = "ordinary line, short frames"
 FORMAT = SerialFormat(9600, 8, "E", 1)
 READ_SIZE = 1024
 
@@ -316,10 +343,12 @@ INPUTS = {
     "requests only, 100 a segment": Input(many_in_a_segment, 50_000, "ordinary"),
     "pipelined with one id": Input(pipelined, 10_000, "ordinary"),
     "pipelined with one id, with loss": Input(lossy_pipelined, 10_000, "ordinary"),
+    "losses of both directions": Input(lossy_both_ways, 10_000, "ordinary"),
     "connections with a request": Input(connections, 65_535, "ordinary"),
     "holes": Input(holes, 10_000, "ordinary"),
     "another protocol, any port": Input(chat, 5_000, "ordinary", any_port=True),
-    "ordinary line": Input(ordinary_line, 10_000, LINE),
+    LINE: Input(ordinary_line, 10_000, LINE),
+    SHORT_LINE: Input(short_line, 15_000, LINE),
     "line: one write and its echo": Input(one_write, 20_000, LINE),
     "line: writes without echoes": Input(unechoed_writes, 20_000, LINE),
     "line: set points without echoes": Input(unechoed_set_points, 20_000, LINE),

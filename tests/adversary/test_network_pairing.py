@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import pytest
 
 from tests.adversary.judgement import decode, judged
 from tests.adversary.known_failures import BLAMED, WRONG
 from tests.adversary.network import ALL_LOSSES, MASTERS, name_of, simulate
 
 if TYPE_CHECKING:
+    import pytest
+
     from mbtool.devices import NamedTransaction
 
 TOLD = Path(__file__).with_name("told_of_plants.expected.txt")
@@ -25,9 +24,9 @@ CAPTURE_LOSSES = {"response lost", "request lost", "several lost"}
 CELLS = [(master, losses) for master in MASTERS for losses in ALL_LOSSES]
 
 Counts = dict[str, int]
+Cell = tuple[str, tuple[str, ...]]
 
 
-@cache
 def found_in(master: str, losses: tuple[str, ...]) -> tuple[Counts, str]:
     """What is wrong with the transactions of some captures, and what they tell."""
     totals: Counter[str] = Counter()
@@ -40,10 +39,6 @@ def found_in(master: str, losses: tuple[str, ...]) -> tuple[Counts, str]:
     return totals, summary(told)
 
 
-def counted(master: str, losses: tuple[str, ...]) -> Counts:
-    return found_in(master, losses)[0]
-
-
 def summary(records: list[NamedTransaction]) -> str:
     """How many transactions have each outcome with its verdicts, their retries and latencies."""
     kinds = Counter(" ".join([one.outcome, *one.verdicts]) for one in records)
@@ -53,49 +48,6 @@ def summary(records: list[NamedTransaction]) -> str:
     return ", ".join([*parts, f"{retries} retries", f"{latency_us} us"])
 
 
-def cells(known: dict[str, set[str]]) -> list[object]:
-    """All masters with all losses; those that are known to fail must fail."""
-    known_to_fail = pytest.mark.xfail(strict=True, reason="see known_failures.py")
-    return [
-        pytest.param(
-            master,
-            losses,
-            id=f"{master}-{name_of(losses)}",
-            marks=[known_to_fail] if name_of(losses) in known.get(master, ()) else [],
-        )
-        for master, losses in CELLS
-    ]
-
-
-@pytest.mark.parametrize(("master", "losses"), cells(WRONG))
-def test_no_response_is_joined_with_a_request_that_it_does_not_answer(
-    master: str, losses: tuple[str, ...]
-) -> None:
-    assert counted(master, losses)["wrong"] == 0
-
-
-@pytest.mark.parametrize(("master", "losses"), cells(BLAMED))
-def test_nobody_is_blamed_for_what_the_capture_lacks(master: str, losses: tuple[str, ...]) -> None:
-    counts = counted(master, losses)
-    assert (counts["blamed"], counts["unasked"]) == (0, 0)
-
-
-@pytest.mark.parametrize(
-    ("master", "losses"),
-    [cell for cell in CELLS if "silent" in cell[1] and not CAPTURE_LOSSES & {*cell[1]}],
-)
-def test_a_silent_slave_is_not_excused_where_the_capture_is_complete(
-    master: str, losses: tuple[str, ...]
-) -> None:
-    assert counted(master, losses)["excused"] == 0
-
-
-@pytest.mark.parametrize("master", MASTERS)
-def test_all_pairs_of_a_capture_without_loss_are_joined(master: str) -> None:
-    counts = counted(master, ())
-    assert (counts["missing"], counts["undecidable"]) == (0, 0)
-
-
 def test_a_late_response_and_lost_ones_shift_no_later_pair() -> None:
     """A master with one id that takes a late response for the next one is always one ahead."""
     simulated = simulate("connections", ("several lost", "retransmitted"), 20, 60)
@@ -103,35 +55,45 @@ def test_a_late_response_and_lost_ones_shift_no_later_pair() -> None:
     assert (found.wrong, found.blamed, found.unasked) == ([], [], [])
 
 
-def test_all_but_one_in_a_thousand_pairs_are_joined() -> None:
-    counts = [counted(*cell) for cell in CELLS]
-    pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
-    assert sum(one["missing"] for one in counts) <= pairs / 1000, [
-        (cell, counted(*cell)["missing"]) for cell in CELLS if counted(*cell)["missing"]
-    ]
-
-
-def test_few_pairs_that_can_be_known_are_told_as_ambiguous() -> None:
-    counts = [counted(*cell) for cell in CELLS]
-    pairs = sum(one["transactions"] - one["undecidable"] for one in counts)
-    # Of a pipelining master with one id, most pairs behind two losses cannot be proved.
-    assert sum(one["doubtful"] for one in counts) <= pairs / 220
-
-
-def test_nearly_everything_can_be_known() -> None:
-    """A plant of which little can be known would test little."""
-    counts = [counted(*cell) for cell in CELLS]
-    assert (
-        sum(one["undecidable"] for one in counts)
-        < sum(one["transactions"] for one in counts) / 2000
+def test_what_is_told_of_lossy_captures_is_right_and_nearly_complete(
+    pytestconfig: pytest.Config,
+) -> None:
+    found = {cell: found_in(*cell) for cell in CELLS}
+    counts = {cell: one[0] for cell, one in found.items()}
+    # No response is joined with a request that it does not answer.
+    assert {cell for cell, one in counts.items() if one["wrong"]} == known(WRONG)
+    # Nobody is blamed for what the capture lacks.
+    assert {cell for cell, one in counts.items() if one["blamed"] or one["unasked"]} == known(
+        BLAMED
     )
+    # A silent slave is not excused where the capture is complete.
+    complete = [cell for cell in CELLS if "silent" in cell[1] and not CAPTURE_LOSSES & {*cell[1]}]
+    assert complete
+    assert [cell for cell in complete if counts[cell]["excused"]] == []
+    # All pairs of a capture without loss are joined.
+    whole = {master: counts[master, ()] for master in MASTERS}
+    assert [one for one in whole.items() if one[1]["missing"] or one[1]["undecidable"]] == []
 
+    total = sum((Counter(one) for one in counts.values()), Counter[str]())
+    pairs = total["transactions"] - total["undecidable"]
+    assert total["missing"] <= pairs / 1000, [cell for cell in CELLS if counts[cell]["missing"]]
+    # Few pairs that can be known are told as ambiguous. Of a pipelining master with one id, most
+    # pairs behind two losses cannot be proved.
+    assert total["doubtful"] <= pairs / 220
+    # A plant of which little can be known would test little.
+    assert total["undecidable"] < total["transactions"] / 2000
 
-def test_what_is_told_of_the_plants_is_as_expected(pytestconfig: pytest.Config) -> None:
-    """A line for each plant: a change of the pairing shows what it is good for, and where not."""
-    lines = [
-        f"{master}, {name_of(losses)}: {found_in(master, losses)[1]}" for master, losses in CELLS
-    ]
+    # A line for each plant: a change of the pairing shows what it is good for, and where not.
+    lines = [f"{master}, {name_of(losses)}: {found[master, losses][1]}" for master, losses in CELLS]
     if pytestconfig.getoption("--update-golden"):
         TOLD.write_text("".join(f"{line}\n" for line in lines))
     assert lines == TOLD.read_text().splitlines()
+
+
+def known(failures: dict[str, set[str]]) -> set[Cell]:
+    """The cells that are known to fail, which all must fail."""
+    cells = {
+        (master, losses) for master, losses in CELLS if name_of(losses) in failures.get(master, ())
+    }
+    assert len(cells) == sum(map(len, failures.values()))
+    return cells

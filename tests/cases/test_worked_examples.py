@@ -27,26 +27,23 @@ _NAMED = [
 ]
 
 
-@pytest.mark.parametrize(
-    "example", [each for each in _EXAMPLES if each.request and each.well_formed], ids=str
-)
-def test_request_is_parsed_and_encoded_back(example: WorkedExample) -> None:
-    parsed = parse_pdu(example.request_pdu, Direction.REQUEST)
-    assert parsed.problem is None
-    assert _encode(parsed, Direction.REQUEST) == example.request_pdu
-
-
-@pytest.mark.parametrize("example", [each for each in _EXAMPLES if each.response], ids=str)
-def test_response_is_parsed_and_encoded_back(example: WorkedExample) -> None:
-    parsed = parse_pdu(example.response_pdu, Direction.RESPONSE)
-    assert parsed.problem is None
-    assert _encode(parsed, Direction.RESPONSE) == example.response_pdu
-
-
-@pytest.mark.parametrize(
-    "example", [each for each in _EXAMPLES if each.transport != "pdu" and not each.foreign], ids=str
-)
-def test_adus_have_the_header_or_the_check_of_their_transport(example: WorkedExample) -> None:
+@pytest.mark.parametrize("example", _EXAMPLES, ids=str)
+def test_an_example_is_parsed_and_encoded_back_and_its_adus_are_right(
+    example: WorkedExample,
+) -> None:
+    for direction, pdu in (
+        (
+            Direction.REQUEST,
+            example.request_pdu if example.request and example.well_formed else b"",
+        ),
+        (Direction.RESPONSE, example.response_pdu if example.response else b""),
+    ):
+        if pdu:
+            parsed = parse_pdu(pdu, direction)
+            assert parsed.problem is None
+            assert _encode(parsed, direction) == pdu
+    if example.transport == "pdu" or example.foreign:
+        return
     for adu, pdu in (
         (example.request_bytes, example.request_pdu),
         (example.response_bytes, example.response_pdu),
@@ -70,7 +67,7 @@ def test_request_with_a_wrong_byte_count_is_read_whole() -> None:
 
 
 @pytest.mark.parametrize(("example", "device"), _NAMED, ids=str)
-def test_example_is_named_in_the_manuals_words(example: WorkedExample, device: str) -> None:
+def test_example_and_its_row_read_like_the_manual(example: WorkedExample, device: str) -> None:
     named = _name(example, device)
     assert named.device == device
     assert named.reference == example.reference
@@ -81,11 +78,6 @@ def test_example_is_named_in_the_manuals_words(example: WorkedExample, device: s
     assert describe(named) == (example.says or example.reference or "")
     if example.function_name is not None:
         assert named.function_name == example.function_name
-
-
-@pytest.mark.parametrize(("example", "device"), _NAMED, ids=str)
-def test_row_of_an_example_reads_like_its_manual(example: WorkedExample, device: str) -> None:
-    named = _name(example, device)
     profile = load_profile(device)
     what = "  ! ".join((what_text(named), *finding_texts(named, profile))).strip()
     assert [function_text(named), what, result_text(named)] == example.row

@@ -205,7 +205,7 @@ def test_ctrl_c_leaves_no_file_that_looks_complete(
     out = tmp_path / f"x.{suffix}"
     if is_old:
         out.write_text("older")
-    monkeypatch.setattr("mbtool.cli.progress.with_progress", _interrupted)
+    monkeypatch.setattr("mbtool.cli.check.with_progress", _interrupted)
     assert run(["check", SHOWS, "-o", str(out), "--overwrite"]) == exit_codes.INTERRUPTED
     kept = f"{out} stays as it was" if is_old else "nothing was written"
     assert capsys.readouterr().err == f"interrupted; {kept}\n"
@@ -216,7 +216,7 @@ def test_ctrl_c_leaves_no_file_that_looks_complete(
 def test_ctrl_c_prints_what_was_found_and_marks_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("mbtool.cli.progress.with_progress", _interrupted)
+    monkeypatch.setattr("mbtool.cli.check.with_progress", _interrupted)
     assert run(["check", SHOWS, "--format", "json"]) == exit_codes.INTERRUPTED
     told = capsys.readouterr()
     document = json.loads(told.out)

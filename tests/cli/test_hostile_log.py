@@ -43,7 +43,6 @@ COMMANDS = (
     "inventory LOG --all",
     "inventory LOG --format json",
     "inventory LOG --format csv",
-    "inventory LOG --format dot",
     "inventory LOG --baseline CALM",
     "inventory LOG --baseline CALM --format csv",
     "inventory CALM --baseline LOG",

@@ -69,8 +69,6 @@ def test_the_format_follows_the_name_of_the_output(mbtool: CommandLine, tmp_path
     for name, begin in (
         ("a.json", "{"),
         ("a.csv", "host,port,unit"),
-        ("a.dot", "digraph inventory {"),
-        ("a.gv", "digraph"),
         ("a.txt", "host  "),
     ):
         assert mbtool("inventory", FA3, "-o", tmp_path / name).code == exit_codes.DONE
@@ -111,12 +109,6 @@ def test_a_baseline_that_is_no_inventory_is_one_line(
     assert told.code == exit_codes.UNREADABLE
     assert told.err.count("\n") == 1
     assert "old.json: is no inventory as --format json writes it" in told.err
-
-
-def test_a_graph_has_no_changes(mbtool: CommandLine) -> None:
-    told = mbtool("inventory", FA3, "--baseline", FA3, "--format", "dot")
-    assert told.code == exit_codes.USAGE
-    assert "--baseline goes with --format table, json and csv" in told.err
 
 
 def test_a_file_that_is_absent_is_told(mbtool: CommandLine) -> None:

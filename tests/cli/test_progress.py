@@ -143,8 +143,7 @@ def test_ctrl_c_says_what_was_kept_of_a_file(
         yield next(records)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mbtool.cli.progress.with_progress", interrupted)
-    monkeypatch.setattr("mbtool.cli.decode.with_progress", interrupted, raising=False)
+    monkeypatch.setattr(f"mbtool.cli.{command[0]}.with_progress", interrupted)
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "plant.pcap"
     path.write_bytes(pcap(captured(3)))
@@ -197,7 +196,7 @@ def test_ctrl_c_is_told_once_by_each_command(
 def test_ctrl_c_while_a_slave_is_asked_says_what_it_may_have_taken(
     mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mbtool.cli.ask_options.print_asked", _stop)
+    monkeypatch.setattr("mbtool.cli.ask.print_asked", _stop)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         link = f"tcp:127.0.0.1:{silent.getsockname()[1]}"
         assert mbtool("read", link, "holding 0").err == "interrupted\n"
@@ -234,7 +233,7 @@ def test_whatever_is_made_of_a_capture_its_reading_is_shown(
             passed.append(record)
             yield record
 
-    for module in ("progress", "decode", "column_output"):
+    for module in ("column_output", "convert", "decode", "devices_own", "report"):
         monkeypatch.setattr(f"mbtool.cli.{module}.with_progress", note)
     monkeypatch.setattr("mbtool.workflows.shared.reading_choice.WORTH_BYTES", 0)
     monkeypatch.setattr("mbtool.cli.column_output.WORTH_PROCESSES", 0)

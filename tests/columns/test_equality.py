@@ -388,9 +388,11 @@ def test_a_pcapng_file_gives_equal_results() -> None:
 OWN = Path(__file__).resolve().parents[2] / "captures"
 
 
-@pytest.mark.parametrize("path", sorted(OWN.glob("**/*.pcap")), ids=lambda one: one.name)
-def test_the_captures_of_the_repository_give_equal_results(path: Path) -> None:
-    assert differences(path.read_bytes()) == []
+def test_the_captures_of_the_repository_give_equal_results() -> None:
+    captures = sorted(OWN.glob("**/*.pcap"))
+    assert len(captures) > 100
+    for path in captures:
+        assert differences(path.read_bytes()) == [], path
 
 
 @pytest.mark.public_captures

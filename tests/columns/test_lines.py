@@ -43,9 +43,11 @@ def test_lines_with_marks_are_made_anew_above_their_limit() -> None:
         assert differing_texts(generated(3), 40) == []
 
 
-@pytest.mark.parametrize("path", sorted(OWN.glob("**/*.pcap")), ids=lambda one: one.name)
-def test_the_captures_of_the_repository_give_equal_lines(path: Path) -> None:
-    assert differing_texts(path.read_bytes()) == []
+def test_the_captures_of_the_repository_give_equal_lines() -> None:
+    captures = sorted(OWN.glob("**/*.pcap"))
+    assert len(captures) > 100
+    for path in captures:
+        assert differing_texts(path.read_bytes()) == [], path
 
 
 @pytest.mark.public_captures

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.public_captures
 
-STRETCHES = 1000
+STRETCHES = 300
 SHORTEST_S, LONGEST_S = 0.5, 120
 MOST_PACKETS = 12_000
 

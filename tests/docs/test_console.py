@@ -61,9 +61,13 @@ def test_a_block_holds_commands_with_their_output_and_what_goes_on() -> None:
     ]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_block_of_commands_is_run_or_says_why_not(page: Path) -> None:
-    text = page.read_text()
+def test_a_block_of_commands_is_run_or_says_why_not() -> None:
+    assert len(PAGES) > 30
+    for page in PAGES:
+        _demand_blocks_are_run(page.read_text())
+
+
+def _demand_blocks_are_run(text: str) -> None:
     for block in FENCED.finditer(text):
         language, words = block["language"], block["words"] or ""
         assert language in LANGUAGES, block[0]

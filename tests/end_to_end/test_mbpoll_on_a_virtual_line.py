@@ -112,7 +112,7 @@ def test_all_areas_are_read_and_written_and_the_log_names_them(tmp_path: Path) -
     play(SerialFormat(19200, 8, "E", 1), STEPS, tmp_path)
 
 
-@pytest.mark.parametrize("baud", [1200, 9600, 38400, 115200])
+@pytest.mark.parametrize("baud", [1200, 115200])
 def test_other_baud_rates(baud: int, tmp_path: Path) -> None:
     play(SerialFormat(baud, 8, "N", 2), STEPS[4:9], tmp_path)
 

@@ -62,11 +62,10 @@ def own_ends(ends: Cable) -> Iterator[Cable]:
 @pytest.mark.parametrize(
     ("host", "slave", "options"),
     [
-        (IPV4[1], f"{IPV4[1]}:{PORT}", ("--port", str(PORT))),
         (IPV6[1], f"[{IPV6[1]}]:{PORT}", ("--port", str(PORT))),
         (IPV4[1], f"{IPV4[1]}:{PORT}", ("--port", "any")),
     ],
-    ids=["ipv4", "ipv6", "any port"],
+    ids=["ipv6", "any port"],
 )
 def test_what_pymodbus_asks_is_logged_at_both_ends(
     ends: Cable, tmp_path: Path, host: str, slave: str, options: Sequence[str]

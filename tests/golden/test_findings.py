@@ -68,9 +68,17 @@ def test_every_code_has_its_captures() -> None:
 
 
 @each_case
-def test_a_capture_shows_its_code_and_no_other(case: Case, tmp_path: Path) -> None:
+def test_a_capture_shows_its_code_and_no_other_and_is_the_example_of_the_docs(
+    case: Case, tmp_path: Path
+) -> None:
     findings = checked(FOLDER / f"{case.code}.pcap", case, tmp_path, exit_codes.NO)
     assert {one["code"] for one in findings} == {case.code} | case.beside
+    rule = rule_of(case.code)
+    assert rule is not None
+    message = next(one["message"] for one in findings if one["code"] == case.code)
+    assert f"`{message}`" in section(rule)
+    if DeviceCode.parse(case.code) is not None:
+        assert f"Example: {case.code}, " in section(rule)
 
 
 @each_case
@@ -78,17 +86,6 @@ def test_what_nearly_shows_a_code_does_not(case: Case, tmp_path: Path) -> None:
     code = exit_codes.NO if case.beside else exit_codes.DONE
     findings = checked(FOLDER / f"{case.code}-nearly.pcap", case, tmp_path, code)
     assert {one["code"] for one in findings} == case.beside
-
-
-@each_case
-def test_the_docs_give_the_capture_as_example(case: Case, tmp_path: Path) -> None:
-    rule = rule_of(case.code)
-    assert rule is not None
-    findings = checked(FOLDER / f"{case.code}.pcap", case, tmp_path, exit_codes.NO)
-    message = next(one["message"] for one in findings if one["code"] == case.code)
-    assert f"`{message}`" in section(rule)
-    if DeviceCode.parse(case.code) is not None:
-        assert f"Example: {case.code}, " in section(rule)
 
 
 def test_the_docs_have_a_section_for_each_code_and_no_other() -> None:

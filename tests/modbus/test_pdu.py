@@ -220,12 +220,12 @@ def test_an_adu_that_is_cut_short_has_no_pdu(transport: Transport, raw: bytes | 
 
 
 @pytest.mark.parametrize("direction", [REQUEST, RESPONSE])
-@pytest.mark.parametrize("code", range(256))
-def test_length_is_the_same_wherever_the_pdu_begins(code: int, direction: Direction) -> None:
-    pdu = bytes([code]) + bytes.fromhex("0E 0102 0003 0405 0607 06 0809")
-    for size in range(len(pdu) + 1):
-        length = pdu_length(pdu[:size], direction)
-        assert pdu_length(b"\xff\xff" + pdu[:size], direction, at=2) == length
+def test_length_is_the_same_wherever_the_pdu_begins(direction: Direction) -> None:
+    for code in range(256):
+        pdu = bytes([code]) + bytes.fromhex("0E 0102 0003 0405 0607 06 0809")
+        for size in range(len(pdu) + 1):
+            length = pdu_length(pdu[:size], direction)
+            assert pdu_length(b"\xff\xff" + pdu[:size], direction, at=2) == length, code
 
 
 @pytest.mark.parametrize("code", [0, 1, 255, -1, 256])

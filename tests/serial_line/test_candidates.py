@@ -8,6 +8,7 @@ from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel, Classification
 from mbtool.serial_line.candidates import ByteWindow, Candidates
 from mbtool.serial_line.line_statistics import LearnedCost, LineStatistics
+from mbtool.serial_line.paths import Segment, SegmentKind
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 CHARACTER = 573_000
@@ -51,10 +52,9 @@ def repaired(data: bytes) -> list[tuple[bytes, Direction]]:
 
 def test_frames_are_found_in_each_form_that_they_have() -> None:
     found, _ = candidates(READ + ANSWER)
-    assert [(one.size, one.role, one.roles) for one in found.frames(0)] == [
-        (8, REQUEST, (REQUEST,))
-    ]
-    assert [(one.size, one.role) for one in found.frames(8)] == [(9, RESPONSE)]
+    (request,), (response,) = found.frames(0), found.frames(8)
+    assert request.segment == Segment(SegmentKind.FRAME, 0, 8, REQUEST, (REQUEST,))
+    assert response.segment == Segment(SegmentKind.FRAME, 8, 9, RESPONSE, (RESPONSE,))
     assert found.frames(1) == []
 
 
@@ -269,12 +269,10 @@ def test_each_silence_inside_a_segment_counts() -> None:
     assert found.split_cost(0, 17) == costs.SPLIT + 3 * costs.SPLIT_MORE
 
 
-def test_longest_silence_inside_a_segment_is_told_to_the_nanosecond() -> None:
+def test_longest_silence_inside_a_frame_is_told_to_the_nanosecond() -> None:
     found, _ = candidates(READ + ANSWER, silent_at=(1, 4, 8))
-    assert found.longest_silence_ns(0, 8) == SILENCE_NS + 4
-    assert found.longest_silence_ns(0, 2) == SILENCE_NS + 1
-    assert found.longest_silence_ns(0, 9) == SILENCE_NS + 8
-    assert found.longest_silence_ns(0, 1) == found.longest_silence_ns(8, 9) == 0
+    assert [one.inside_ns for one in found.frames(0)] == [SILENCE_NS + 4]
+    assert [one.inside_ns for one in found.frames(8)] == [0]
 
 
 def test_frame_after_a_silence_inside_a_segment_is_no_coincidence() -> None:
@@ -310,7 +308,7 @@ VENDOR = rtu_adu(1, bytes.fromhex("41 0102 03"))
 def unknown(data: bytes, *silent_at: int, at: int = 0) -> dict[tuple[int, bool], float]:
     """The costs of the frames of unknown form, by size and by whether only the CRC bounds them."""
     found, _ = candidates(data, silent_at=silent_at)
-    return {(one.size, one.is_unbound): one.cost for one in found.unknown_frames(at)}
+    return {(one.segment.size, one.is_unbound): one.cost for one in found.unknown_frames(at)}
 
 
 def test_unknown_form_costs_less_if_silences_bound_it() -> None:

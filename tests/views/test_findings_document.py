@@ -10,7 +10,7 @@ import pytest
 
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import RULES
-from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
+from mbtool.views.findings_document import Checked, Document, JsonDocument, SarifDocument
 from tests.troubles.judging import NOTHING
 
 NOON_NS = 1_767_268_800_123_456_789
@@ -125,7 +125,7 @@ SARIF = _object(
 
 def written(document: Document, *findings: Finding, place: str = "plant.pcap") -> Any:
     text = document.begin() + "".join(document.add(one, place) for one in findings)
-    return json.loads(text + document.end(42, {"no_answer": 3}, judgement=NOTHING))
+    return json.loads(text + document.end(Checked(42, {"no_answer": 3}, NOTHING)))
 
 
 def test_json_is_one_object_with_all_fields_of_the_findings() -> None:
@@ -227,9 +227,7 @@ def test_sarif_names_a_file_by_the_bytes_of_its_path() -> None:
 def test_documents_say_what_was_not_checked(*, is_whole: bool) -> None:
     json_, sarif = JsonDocument("1"), SarifDocument("1")
     told: list[Any] = [
-        json.loads(
-            one.begin() + one.end(1, {}, judgement=NOTHING, remarks=["cut"], is_whole=is_whole)
-        )
+        json.loads(one.begin() + one.end(Checked(1, {}, NOTHING, ["cut"], is_whole)))
         for one in (json_, sarif)
     ]
     assert (told[0]["is_whole"], told[0]["remarks"]) == (is_whole, ["cut"])

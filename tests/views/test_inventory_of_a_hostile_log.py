@@ -13,10 +13,8 @@ from rich.console import Console
 from mbtool.ledger.baseline import changes
 from mbtool.modbus import mbap_adu
 from mbtool.views.inventory_documents import changes_csv, inventory_csv, inventory_json
-from mbtool.views.inventory_graph import inventory_dot
 from mbtool.views.inventory_table import print_changes, print_inventory
 from tests.ledger.plant import asked, inventory_of, plant
-from tests.views.test_inventory_graph import statements
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
@@ -51,7 +49,6 @@ def forms(document: InventoryDocument) -> dict[str, str]:
         "json": inventory_json(document, "1", new),
         "csv": inventory_csv(document),
         "changes": changes_csv(new),
-        "dot": inventory_dot(document),
     }
 
 
@@ -59,10 +56,9 @@ def forms(document: InventoryDocument) -> dict[str, str]:
 def test_every_form_is_well_formed_and_steers_nothing(transaction: NamedTransaction) -> None:
     made = forms(inventory_of([*plant(), transaction]))
     json.loads(made["json"])
-    statements(made["dot"])
     for name in ("csv", "changes"):
         rows = list(csv.reader(made[name].splitlines()))
         assert len({len(row) for row in rows}) == 1
         assert not any(cell.startswith(("=", "+", "@", "\t")) for row in rows for cell in row)
-    for name in ("table", "csv", "changes", "dot"):
+    for name in ("table", "csv", "changes"):
         assert not set("\x1b\x07\r\u202e") & set(made[name].replace("\x1b[1m", ""))

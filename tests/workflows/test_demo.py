@@ -19,25 +19,28 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
 
+ASKED = len(touch_requests()) + len(module_requests())
+
+
 def _recorded(folder: Path) -> tuple[Demo, list[Record], Path]:
-    """A run in which each request was answered.
+    """A run in which each request was answered when it was first asked.
 
     A virtual line keeps to real time: if a busy machine stops it in the middle of a frame for
-    longer than a slave waits for the rest, the request is lost, as on a real line.
+    longer than a slave waits for the rest, the request is lost, as on a real line, and asked again.
     """
     for number in range(5):
         path = folder / f"{number}.mcap"
         run = Demo(str(path))
         with suppress(LinkError):
-            return run, list(run.record()), path
+            records = list(run.record())
+            if sum(not isinstance(one, WireEvent) for one in records) == ASKED:
+                return run, records, path
     pytest.fail("a request was lost in each of five runs")
 
 
 def test_the_log_answers_as_the_devices_did(tmp_path: Path) -> None:
     run, records, path = _recorded(tmp_path)
     transactions = [one for one in records if not isinstance(one, WireEvent)]
-    asked = len(touch_requests()) + len(module_requests())
-    assert len(transactions) == asked
     assert {one.device for one in transactions} == {"idec-ft1a-touch", "fa3-at1m8x"}
     assert [one.unit for one in transactions].count(TOUCH_UNIT) == len(touch_requests())
     assert [one.unit for one in transactions].count(MODULE_UNIT) == len(module_requests())
@@ -48,7 +51,7 @@ def test_the_log_answers_as_the_devices_did(tmp_path: Path) -> None:
     ]
     assert without_origins(Reading([str(path)], ReadingOptions()).records()) == records
     agreement = run.replay()
-    assert (agreement.asked, agreement.differences) == (asked, ())
+    assert (agreement.asked, agreement.differences) == (ASKED, ())
 
 
 def test_a_log_that_is_there_stays(tmp_path: Path) -> None:

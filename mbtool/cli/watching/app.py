@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
-from textual.app import SystemCommand
+from textual.app import ComposeResult, SystemCommand
 from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
-from textual.screen import ModalScreen
+from textual.screen import ModalScreen, Screen
 from textual.widgets import OptionList, Static
 from textual.widgets.option_list import Option
 
@@ -28,16 +29,8 @@ from mbtool.cli.watching.prompt import (
 )
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError, UsageError
-from mbtool.views.watch_columns import left_out
+from mbtool.views.watch_columns import WatchColumn, left_out
 from mbtool.workflows.watch import FileFeed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-
-    from textual.app import ComposeResult
-    from textual.screen import Screen
-
-    from mbtool.views.watch_columns import WatchColumn
 
 # Small windows in which the user chooses columns, or the column to sort by.
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 from rich.text import Text
-from textual.app import App
+from textual.app import App, ComposeResult
 from textual.containers import VerticalScroll
 from textual.widgets import Static
 
@@ -23,27 +24,19 @@ from mbtool.cli.watching.live_table import LiveTable
 from mbtool.cli.watching.prompt import PromptLine
 from mbtool.cli.watching.spans import OneLine, is_plain, style_of, text_of
 from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
-from mbtool.cli.watching.watch_views import VIEWS
+from mbtool.cli.watching.watch_views import VIEWS, WatchView
 from mbtool.core import InputError, MbtoolError
 from mbtool.core.errors import reason_of
 from mbtool.core.replacing import make_folder, replace_content
 from mbtool.views.trouble_lines import watch_text
-from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
+from mbtool.views.watch_columns import DrawContext, Spans, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
-from mbtool.views.watch_places import place_columns
-from mbtool.watching.board import TroubleRow, WatchedSlaveRow
-from mbtool.workflows.watch import FileFeed
+from mbtool.views.watch_places import PlaceColumn, place_columns
+from mbtool.watching.board import Board, WatchedSlaveRow
+from mbtool.watching.watched_rows import TroubleRow
+from mbtool.workflows.watch import FileFeed, WatchFeed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from textual.app import ComposeResult
-
-    from mbtool.cli.watching.watch_views import WatchView
-    from mbtool.views.watch_columns import Spans
-    from mbtool.views.watch_places import PlaceColumn
-    from mbtool.watching.board import Board
-    from mbtool.workflows.watch import WatchFeed
     from mbtool.workflows.watch_saving import Saver
 
 # The settings that `watch` remembers from run to run: columns, sorting, filters.
@@ -143,10 +136,6 @@ _LOOK_S = 1.0
 _LOOK_SHARE = 50
 """The search for slaves in trouble runs each second. If a search takes over 1/50 s, the next one
 begins only after 50 times the time that this one took."""
-_TYPING_S = 0.15
-"""A filter is applied when the user has typed nothing for this long, in s."""
-_SEEK_NS = 10_000_000_000
-_TRANSACTIONS = 2
 
 
 class DrawnApp(App[int]):

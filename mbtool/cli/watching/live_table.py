@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.segment import Segment
@@ -15,15 +16,12 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from mbtool.cli.watching.spans import is_plain, strip_of
-from mbtool.views.watch_columns import DrawContext, row_spans, title_spans
+from mbtool.views.watch_columns import DrawContext, FittedColumn, row_spans, title_spans
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
     from textual.events import Click, MouseScrollDown, MouseScrollUp
     from textual.geometry import Region
 
-    from mbtool.views.watch_columns import FittedColumn
 
 _CURSOR = Style(bgcolor="#0b2a55")
 """The style of the cursor's row, with colours: a dark background, as errors are red and values that

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from textual.binding import Binding
 from textual.message import Message
@@ -12,14 +13,8 @@ from textual.widgets import Input
 
 from mbtool.core import UsageError, WireEvent
 from mbtool.query.mistakes import find_mistake
-from mbtool.query.where import parse_where
-from mbtool.views.watch_columns import DrawContext, row_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.query.where import Where
-    from mbtool.views.watch_columns import WatchColumn
+from mbtool.query.where import Where, parse_where
+from mbtool.views.watch_columns import DrawContext, WatchColumn, row_text
 
 # The code below finds rows of a live table by text, or by bytes in hexadecimal.
 

@@ -6,7 +6,6 @@ import os
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 from rich.segment import Segment
 from rich.style import Style
@@ -14,10 +13,7 @@ from rich.text import Text
 from textual.strip import Strip
 from textual.widget import Widget
 
-from mbtool.views.watch_columns import cut_spans
-
-if TYPE_CHECKING:
-    from mbtool.views.watch_columns import Spans
+from mbtool.views.watch_columns import Spans, cut_spans
 
 
 def strip_of(spans: Spans, width: int) -> Strip:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
+from mbtool.cli.keys import clock_text
 from mbtool.core.moments import counted
 from mbtool.views.tables import printable
-from mbtool.views.watch_columns import cut_spans
-from mbtool.workflows.watch import FileFeed
+from mbtool.views.watch_columns import Spans, cut_spans
+from mbtool.workflows.watch import FileFeed, WatchFeed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.cli.watching.watch_views import WatchView
-    from mbtool.views.watch_columns import Spans
     from mbtool.watching.watched import Watched
-    from mbtool.workflows.watch import WatchFeed
 
 _KEYS = (
     ("?", "keys"),
@@ -173,16 +171,9 @@ def _position(feed: FileFeed) -> str:
     if not feed.is_read:
         return "reading"
     if feed.is_behind:
-        return f"reading to {_clock(feed.position_ns)}"
+        return f"reading to {clock_text(feed.position_ns)}"
     length_ns = feed.last_ns - feed.first_ns
-    place = f"{_clock(feed.position_ns)} of {_clock(length_ns)}"
+    place = f"{clock_text(feed.position_ns)} of {clock_text(length_ns)}"
     if feed.is_playing:
         return f"playing {place} x{feed.speed:g}"
     return place if feed.position_ns >= length_ns else f"paused {place} x{feed.speed:g}"
-
-
-def _clock(time_ns: int) -> str:
-    minutes, tenths = divmod(time_ns // 100_000_000, 600)
-    hours, minutes = divmod(minutes, 60)
-    seconds = f"{tenths // 10:02}.{tenths % 10}"
-    return f"{hours}:{minutes:02}:{seconds}" if hours else f"{minutes}:{seconds}"

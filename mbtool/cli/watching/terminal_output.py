@@ -12,15 +12,12 @@ import codecs
 import os
 import select
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, TextIO
 
 from mbtool.core import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import TextIO
 
 # The code below asks terminfo if the terminal can move its cursor and show colours.
 

@@ -5,20 +5,15 @@ A loss is something that the profile says, but the other program's format cannot
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from mbtool.devices.model import Access, Point
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import ByteOrder, WordOrder
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import PointInstance
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices.model import Profile
 
 _FEW = 3
 NOT_SCALED = "as in the register, since another register of the device holds the scale"

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
     NOT_SCALED,
@@ -16,12 +15,9 @@ from mbtool.devices.exporting.exported_points import (
     number_text,
     single_points,
 )
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.tables import Table
-
-if TYPE_CHECKING:
-    from mbtool.devices.model import Profile
 
 _TYPES = {
     **{one: one.value for one in (

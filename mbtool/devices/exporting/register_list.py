@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
     NOT_SCALED,
@@ -14,11 +13,8 @@ from mbtool.devices.exporting.exported_points import (
     number_text,
     single_points,
 )
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import PointType
-
-if TYPE_CHECKING:
-    from mbtool.devices.model import Point, Profile
 
 HEADINGS = (
     "wire address", "name", "table", "type", "order", "length", "access", "unit", "scale", "offset",

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection
+from typing import Any
 
 import msgspec
 
@@ -21,14 +22,9 @@ from mbtool.devices.exporting.exported_points import (
     single_points,
 )
 from mbtool.devices.importing.sunspec_layout import NO_VALUES
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.tables import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from mbtool.devices.model import Point, Profile
 
 _TYPES = {
     PointType.UINT16: "uint16", PointType.INT16: "int16", PointType.UINT32: "uint32",

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
     NOT_SCALED,
@@ -17,12 +16,9 @@ from mbtool.devices.exporting.exported_points import (
     number_text,
     single_points,
 )
-from mbtool.devices.model import Access
+from mbtool.devices.model import Access, Point, Profile
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import Table
-
-if TYPE_CHECKING:
-    from mbtool.devices.model import Point, Profile
 
 _REGISTERS = {
     Table.COILS: "coil",

@@ -10,18 +10,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from mbtool.devices.importing.cells import MAX_DIGITS, is_nothing
-from mbtool.devices.importing.options import AddressStyle
+from mbtool.devices.importing.options import AddressStyle, ImportReport
 from mbtool.devices.model import Radix
 from mbtool.modbus.tables import DIGIT_TABLES, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.devices.importing.options import ImportReport
 
 _PREFIX_TABLES = {
     "hr": Table.HOLDING_REGISTERS, "ir": Table.INPUT_REGISTERS, "di": Table.DISCRETE_INPUTS,

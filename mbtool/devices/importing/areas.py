@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -15,8 +16,6 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
     from mbtool.devices.importing.points import RowPoint
 
 MAX_HOLE = 16

@@ -117,10 +117,6 @@ def _without_overlaps(points: Sequence[PlacedPoint], remarks: list[str]) -> list
     return kept
 
 
-def _place(one: PlacedPoint) -> tuple[int, int]:
-    return _TABLES.index(one.point.table), one.point.address
-
-
 def _areas(points: Sequence[PlacedPoint], span: range | None) -> tuple[list[Area], list[Point]]:
     areas: list[Area] = []
     owned: list[Point] = []

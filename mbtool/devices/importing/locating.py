@@ -13,19 +13,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.importing.addresses import decide_style, table_and_base
-from mbtool.devices.importing.options import AddressStyle, ImportOptions
+from mbtool.devices.importing.options import AddressStyle, ImportOptions, ImportReport
 from mbtool.devices.model import Access, Area
 from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.importing.columns import Column
-    from mbtool.devices.importing.options import ImportReport
     from mbtool.devices.importing.rows import ListRow
 
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.importing.columns import SYNONYMS, Meaning
 from mbtool.devices.point_types import WordOrder
 from mbtool.modbus.tables import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 # The class below collects the messages of an import for the user: guesses, and rows that cannot be
 # read.

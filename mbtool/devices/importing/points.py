@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,6 @@ from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.importing.locating import LocatedRow
     from mbtool.devices.importing.options import ImportReport
 

@@ -9,13 +9,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.dumping import dump_profile
-from mbtool.devices.importing.addresses import read_addresses
+from mbtool.devices.importing.addresses import AddressCell, read_addresses
 from mbtool.devices.importing.areas import MAX_HOLE, make_areas
 from mbtool.devices.importing.cells import is_nothing, parse_bits, parse_table, parse_texts
 from mbtool.devices.importing.columns import Sheet, find_sheet, fold
@@ -30,9 +31,6 @@ from mbtool.devices.validation import validate
 from mbtool.modbus.adu import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.devices.importing.addresses import AddressCell
     from mbtool.devices.importing.cells import TableCell
 
 MAX_BYTES = 4 << 20

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from mbtool.devices.importing.addresses import AddressCell
 from mbtool.devices.importing.cells import (
@@ -26,17 +26,11 @@ from mbtool.devices.importing.cells import (
     parse_texts,
     parse_unit,
 )
-from mbtool.devices.importing.columns import Meaning
-from mbtool.devices.importing.options import Scaling
+from mbtool.devices.importing.columns import Meaning, Sheet
+from mbtool.devices.importing.options import ImportReport, Scaling
 from mbtool.devices.importing.spellings import Order, TypeSpelling, parse_order, parse_type
 from mbtool.devices.model import Access
 from mbtool.devices.point_types import ByteOrder, PointType
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.devices.importing.columns import Sheet
-    from mbtool.devices.importing.options import ImportReport
 
 T = TypeVar("T")
 

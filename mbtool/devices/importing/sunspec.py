@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -18,8 +19,6 @@ from mbtool.devices.importing.sunspec_layout import ModelLayout, SunModel, words
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.importing.register_list import ImportedList
     from mbtool.devices.sunspec_map import FoundModel, SunSpecMap
 

@@ -15,9 +15,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec.structs import replace
@@ -27,9 +27,6 @@ from mbtool.devices.importing.assembling import PlacedPoint
 from mbtool.devices.model import Access, Point
 from mbtool.devices.point_types import PointType
 from mbtool.modbus.tables import ADDRESSES, Table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 MARK = "SunS"
 MAX_DEPTH = 8

@@ -35,11 +35,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices import Access
+from mbtool.devices import Access, Profile
 from mbtool.devices.block_reads import can_be_read
 
 if TYPE_CHECKING:
-    from mbtool.devices import Profile
     from mbtool.modbus.register_access import RegisterAccess
     from mbtool.modbus.tables import Table
     from mbtool.slave.device.connection_policy import ConnectionPolicy

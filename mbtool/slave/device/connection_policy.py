@@ -94,6 +94,8 @@ class ConnectionPolicy:
 
     closes_all = True
     """True if a device that accepts no connection for a while also closes all that are open."""
+    ends_some = False
+    """True if `end_of` may return a time, so that the shell asks."""
 
     def __init__(self, places: int = SLAVE_CONNECTIONS, idle_s: float = SLAVE_IDLE_S) -> None:
         self.places = places

@@ -10,13 +10,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.slave.device.behaviour import Behaviour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.response import Response
     from mbtool.slave.device.image_file import Driven
     from mbtool.slave.device.responder import DeviceResponder

@@ -11,13 +11,12 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Self
 
 from mbtool.modbus.tables import ADDRESSES, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.devices.model import Point, Profile
 
 _DIGITS = bytes.maketrans(b"\x00\x01", b"01")

@@ -27,22 +27,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, SerialLink, TcpLink
 from mbtool.modbus.functions import READ_WRITE_REGISTERS, READS, TABLE_FUNCTIONS
-from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.register_access import register_access, response_to, values_after
-from mbtool.modbus.response import Response
+from mbtool.modbus.pdu import Pdu, exception_pdu, parse_pdu
+from mbtool.modbus.register_access import RegisterAccess, register_access, response_to, values_after
+from mbtool.modbus.response import Responder, Response
 from mbtool.slave.device.image import packed_bits
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from mbtool.devices import FunctionRule, Profile
-    from mbtool.modbus.pdu import Pdu
-    from mbtool.modbus.register_access import RegisterAccess
-    from mbtool.modbus.response import Responder
     from mbtool.modbus.tables import Table
     from mbtool.slave.device.behaviour import Behaviour
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from mbtool.devices import (
     Access,
     Point,
     PointType,
+    Profile,
     parse_reference,
     parse_span,
     registers_of,
@@ -36,9 +38,6 @@ from mbtool.devices.values import PointInstance
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices import Profile
     from mbtool.slave.device.image import RegisterImage
 
 _LOWEST, _HIGHEST = -0x8000, 0xFFFF

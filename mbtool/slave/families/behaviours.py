@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from mbtool.slave.device.behaviour import Behaviour
@@ -15,8 +16,6 @@ from mbtool.slave.families.lt830 import Lt830
 from mbtool.slave.families.wago import Wago
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.devices import Profile
     from mbtool.slave.device.image import RegisterImage
 

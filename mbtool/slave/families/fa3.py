@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -33,8 +34,6 @@ from mbtool.slave.device.behaviour import Behaviour, DeviceOutput
 from mbtool.slave.device.connection_policy import Admission, ConnectionPolicy, KeepAlive, Loss, Peer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import Profile
     from mbtool.slave.device.image import RegisterImage
 

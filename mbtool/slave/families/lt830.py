@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.devices.profile_checks import holds_read_only_point, value_ranges, values_outside
@@ -26,8 +27,6 @@ from mbtool.modbus.tables import ADDRESSES, Table
 from mbtool.slave.device.behaviour import Behaviour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import PointInstance, PointValue, Profile
     from mbtool.modbus.register_access import RegisterAccess
     from mbtool.slave.device.image import RegisterImage

@@ -20,22 +20,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
-from mbtool.modbus.register_access import register_access
+from mbtool.modbus.register_access import RegisterAccess, register_access
 from mbtool.modbus.tables import Table
 from mbtool.slave.device.behaviour import Behaviour
 from mbtool.slave.device.connection_policy import ConnectionPolicy
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from mbtool.devices import Profile
-    from mbtool.modbus.register_access import RegisterAccess
     from mbtool.slave.device.image import RegisterImage
 
 # The process image of a WAGO 750 coupler: where its inputs and outputs are read and written.

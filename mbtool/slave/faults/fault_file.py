@@ -23,20 +23,16 @@ from __future__ import annotations
 
 import difflib
 import reprlib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from mbtool.core import UsageError
 from mbtool.core.moments import SECOND_NS
-from mbtool.devices import parse_span
+from mbtool.devices import Profile, parse_span
 from mbtool.devices.loading import read_toml
 from mbtool.modbus.adu import MAX_TCP_ADU
 from mbtool.slave.faults.faults import Fault, FaultCondition, FaultKind
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from mbtool.devices import Profile
 
 MAX_FILE_BYTES = 1 << 20
 MAX_EXTRA_BYTES = 1024

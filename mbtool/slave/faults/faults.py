@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from random import Random
@@ -26,8 +27,6 @@ from mbtool.modbus import Response, Table, exception_pdu, parse_pdu, register_ac
 from mbtool.modbus.response import ConnectionEnding, Distortion
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus import Responder
     from mbtool.modbus.pdu import Pdu
     from mbtool.modbus.register_access import RegisterAccess

@@ -208,7 +208,8 @@ class MasterConnection(asyncio.BufferedProtocol):
         self.peer.heard_ns = now_ns
         if not self._answer_in_place(nbytes, now_ns):
             self._split(bytes(self._buffer[:nbytes]), now_ns)
-        self.plan_end()
+        if self._rules.ends_some:
+            self.plan_end()
         if self._rules.changed:
             self._shell.follow_rules()
         if self._pending:

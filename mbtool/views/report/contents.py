@@ -28,7 +28,7 @@ from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.troubles.broken_rules import Summaries, where
 from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
-from mbtool.values.value_series import thinned
+from mbtool.values.value_series import ValueSeries, thinned
 from mbtool.values.values import Values
 from mbtool.views.advice_lines import advice_lines
 from mbtool.views.differences import what_text
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.trouble import Trouble
-    from mbtool.values.value_series import ValueSeries
 
 MAX_UNITS = 24
 MAX_SAMPLES = 40_000

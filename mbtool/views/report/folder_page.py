@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
@@ -15,8 +16,6 @@ from mbtool.views.report.page import asset, csp_hash
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.views.report.contents import ReportWords
 
 UNREAD = "unread"

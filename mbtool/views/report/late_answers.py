@@ -7,14 +7,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from heapq import heappush, heapreplace
 from typing import TYPE_CHECKING
 
 from mbtool.troubles.polling import LATE_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.devices import NamedTransaction
     from mbtool.ledger.unit_account import UnitKey
 

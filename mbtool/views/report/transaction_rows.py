@@ -17,6 +17,7 @@ beside pauses.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -33,8 +34,6 @@ from mbtool.views.report.late_answers import LateAnswers
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun

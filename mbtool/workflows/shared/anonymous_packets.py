@@ -17,17 +17,16 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Container
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import Packet
 from mbtool.modbus.adu import MBAP_BYTES, SEVEN_BITS, crc, like_parity, lrc, mbap_size, read_frame
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED, wireless_macs
 from mbtool.packets.segment import TCP, UDP, find_tcp, walk_ipv6
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner
 
 if TYPE_CHECKING:
-    from collections.abc import Container
-
-    from mbtool.core import Packet
     from mbtool.core.pseudonyms import Pseudonyms
 
 MIN_TEXT = 5

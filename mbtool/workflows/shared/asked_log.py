@@ -12,13 +12,12 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Self
 
-from mbtool.core import Chunk
+from mbtool.core import Chunk, SerialLink
 from mbtool.logs.links import SPEC
 from mbtool.logs.opening import create_log
 from mbtool.ports.clock import steady_clock
 
 if TYPE_CHECKING:
-    from mbtool.core import SerialLink
     from mbtool.devices import Assignments
 
 _OURS = "own"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from struct import Struct
 from typing import TYPE_CHECKING
@@ -11,8 +12,6 @@ from mbtool.columns.table_counts import TransactionCounts
 from mbtool.devices import NamedTransaction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from _typeshed import ReadableBuffer
 
 NO_FILE = "-"

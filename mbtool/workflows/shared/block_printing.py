@@ -17,6 +17,7 @@ import os
 import pickle
 import sys
 from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.columns.table_counts import TransactionCounts, table_counts
@@ -26,8 +27,6 @@ from mbtool.modbus import Outcome, Verdict
 from mbtool.workflows.shared.block_pieces import SIZE, PrintedBlock, read_pieces, write_pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.devices import NamedTransaction
 

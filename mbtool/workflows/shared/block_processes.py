@@ -20,6 +20,7 @@ import os
 import pickle
 import tempfile
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from queue import SimpleQueue
@@ -38,9 +39,6 @@ from mbtool.workflows.shared.block_pieces import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from types import TracebackType
-
     from mbtool.columns.column_decoder import DecodedBlock
 
 SLOTS = 2
@@ -76,12 +74,7 @@ class BlockProcesses:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._kill()
 
     def printed(self, blocks: Iterator[DecodedBlock]) -> Iterator[PrintedBlock]:

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import (
@@ -27,29 +28,24 @@ from mbtool.core import (
     SerialLink,
     Stamp,
     UsageError,
+    WireEvent,
     parse_link,
 )
 from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.logs import LogReader
 from mbtool.logs.links import SPEC
 from mbtool.modbus import ascii_adu, rtu_adu, whole_pdu
-from mbtool.packets import LinePacket, serial_pieces
+from mbtool.packets import CaptureHead, LinePacket, serial_pieces
 from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.replay import ByteRun
 from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.recorded import read_recorded, where_none
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
-    from mbtool.packets import CaptureHead
-    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
-    from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
 """At most this many bytes are passed to a serial port at once, so that the port takes them without

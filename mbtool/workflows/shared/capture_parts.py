@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -26,8 +27,6 @@ from mbtool.core.moments import counted
 from mbtool.modbus import Transaction, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.decode.decoder import Evidence
     from mbtool.logs import LogReader
 

@@ -8,25 +8,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
-from mbtool.core import WireEvent
+from mbtool.core import SerialLink, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.ledger.account import Account
-from mbtool.troubles.judge import Judge
+from mbtool.troubles.judge import Judge, Judgement
 from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.recorder import Log
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from mbtool.core import SerialLink
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import DecodingMark, LogItem
-    from mbtool.troubles.judge import Judgement
 
 
 class FindingsLog(Log, Protocol):

@@ -6,37 +6,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
-from mbtool.columns.packet_block import read_blocks
-from mbtool.columns.plain_lines import BlockLines
+from mbtool.columns.packet_block import PacketBlock, read_blocks
+from mbtool.columns.plain_lines import BlockLines, LineBatch
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.portions import portions
-from mbtool.columns.quiet_rows import QuietParts
+from mbtool.columns.quiet_rows import BlockRows, QuietParts
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.usual_run import UsualRun
-from mbtool.devices import Namer
+from mbtool.devices import NamedTransaction, Namer
 from mbtool.packets import serial_pieces
-from mbtool.sources.files import open_capture
+from mbtool.sources.files import CaptureFile, open_capture
 from mbtool.workflows.shared.capture_parts import Part
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
-from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS, Reading
+from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS, Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from mbtool.columns.block_table import TransactionBatch
-    from mbtool.columns.packet_block import PacketBlock
-    from mbtool.columns.plain_lines import LineBatch
-    from mbtool.columns.quiet_rows import BlockRows
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
-    from mbtool.sources.files import CaptureFile
-    from mbtool.workflows.shared.reading import ReadingOptions
 
 F = TypeVar("F")
 

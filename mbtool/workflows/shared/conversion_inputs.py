@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
@@ -27,8 +27,6 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.wire_streams import StreamKey
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 

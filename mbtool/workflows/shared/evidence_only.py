@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence, Set
 from typing import TYPE_CHECKING
 
-from mbtool.core import Chunk, Packet, TapLink, WireEvent
+from mbtool.core import Chunk, LinkSpec, Packet, TapLink, WireEvent
 from mbtool.logs.undecoded import UNDECODED_PIECES
 from mbtool.workflows.shared.undecoded_logs import is_of_source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence, Set
-
-    from mbtool.core import LinkSpec
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs import LogItem
     from mbtool.logs.messages import DecodingMark

@@ -15,12 +15,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, InputError, Origin, Packet, StreamPlace, WireEvent
 from mbtool.decode.usb_adapters import UsbAdapters
-from mbtool.devices import finding_text
+from mbtool.devices import NamedTransaction, Profile, finding_text
 from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
 from mbtool.modbus.response import DamagedAnswers
@@ -29,18 +31,12 @@ from mbtool.packets.tcp_ends import TcpEnd, TcpEnds, end_of
 from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
-from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.read_all import Watch, unwatched
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WireFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from collections.abc import Set as AbstractSet
-
     from mbtool.decode.decoder import Decoder, Evidence
-    from mbtool.devices import NamedTransaction, Profile
-    from mbtool.workflows.shared.read_all import Watch
-    from mbtool.workflows.shared.reading import ReadingOptions
 
 _USUAL = (Outcome.OK, Outcome.EXCEPTION, Outcome.BROADCAST, Outcome.MALFORMED)
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core import SerialLink, UsageError
+from mbtool.core import SerialLink, TcpLink, UsageError
 from mbtool.slave.faults.fault_file import FaultFile
 from mbtool.slave.faults.faults import FaultKind, FaultySlave
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mbtool.core import TcpLink
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response
 

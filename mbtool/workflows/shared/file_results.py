@@ -5,6 +5,7 @@ If a file is cut or damaged, the other files are still read; its error is raised
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,8 +14,6 @@ from mbtool.packets import CaptureHead
 from mbtool.sources.files import shown_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.logs import LogReader
 

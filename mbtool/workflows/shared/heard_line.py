@@ -12,16 +12,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 
-from mbtool.core import Chunk, SerialFormat
+from mbtool.core import Chunk, LineSettings, SerialFormat
 from mbtool.packets import SERIAL_LINK_TYPES, USER_LINK_TYPES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from collections.abc import Set as AbstractSet
-
-    from mbtool.core import LineSettings
 
 
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:

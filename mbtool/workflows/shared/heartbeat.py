@@ -11,6 +11,7 @@ after 1 s, 3 s, 7 s and so on, then every minute, when a link is lost or returns
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, EventKind, Packet, WireEvent
@@ -18,8 +19,6 @@ from mbtool.devices import NamedTransaction
 from mbtool.workflows.shared.checked_log import FindingsLog
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import DecodingMark, LogItem
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from mbtool.core import Chunk, Packet, UsageError, WireEvent
-from mbtool.devices import Namer, profile_from_json
+from mbtool.core import Chunk, LineSettings, Packet, UsageError, WireEvent
+from mbtool.devices import Assignments, Namer, Profile, profile_from_json
 from mbtool.logs import LogReader, follow
 from mbtool.sources.files import STANDARD_INPUT, CaptureKind, open_capture, place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from mbtool.core import LineSettings
     from mbtool.decode.decoder import Record
-    from mbtool.devices import Assignments, Profile
 
 
 def log_records(

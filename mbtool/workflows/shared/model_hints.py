@@ -13,22 +13,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
-from mbtool.devices import Who, builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, Profile, Who, builtin_profiles, load_profile
 from mbtool.devices.identity import answer_word
-from mbtool.devices.sunspec_map import MARK
+from mbtool.devices.sunspec_map import MARK, SunSpecMap
 from mbtool.modbus import FUNCTIONS
-from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, described
+from mbtool.workflows.shared.sunspec_devices import Slave, SunSpecDevices, described
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction, Profile
-    from mbtool.devices.sunspec_map import SunSpecMap
-    from mbtool.workflows.shared.sunspec_devices import Slave
 
 MAX_HINTS = 64
 

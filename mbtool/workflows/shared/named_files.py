@@ -13,12 +13,9 @@ from __future__ import annotations
 import glob
 import os
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from mbtool.core import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _CAPTURE = re.compile(r".+\.(?:pcap|pcapng|cap|mcap|sr)\d*(?:\.gz|\.zst)?", re.IGNORECASE)
 _WILD = re.compile(r"[*?\[]")

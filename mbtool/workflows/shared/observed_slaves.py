@@ -6,17 +6,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
-from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.observed_slave import ObservedSlave, OnRow
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Who
-    from mbtool.devices.observed_slave import OnRow
 
 MAX_SLAVES = 2048
 _SHOWN = 12

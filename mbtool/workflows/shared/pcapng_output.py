@@ -10,13 +10,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import msgspec
 
-from mbtool.core import Direction, EventKind, Packet
+from mbtool.core import Connection, Direction, EventKind, Packet
 from mbtool.logs.links import SPEC
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import read_frame
@@ -40,15 +41,11 @@ from mbtool.packets.line_packets import (
     rtac_packet,
     with_mbap,
 )
-from mbtool.workflows.shared.wire_streams import WirePiece
+from mbtool.workflows.shared.wire_streams import StreamKey, WireFrame, WirePiece
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from mbtool.core import Connection
     from mbtool.packets import CaptureHead
     from mbtool.workflows.shared.conversion_inputs import InputGroup
-    from mbtool.workflows.shared.wire_streams import StreamKey, WireFrame
 
 
 class NumberedPacket(NamedTuple):

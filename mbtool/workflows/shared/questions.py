@@ -20,19 +20,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, UsageError
-from mbtool.devices import Profile, parse_span
+from mbtool.devices import Profile, Span, parse_span
 from mbtool.modbus import FUNCTIONS, encode_pdu
 from mbtool.modbus.tables import DIGIT_TABLES, READS_OF_TABLE, Table
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.devices import Span
 
 _WRITES = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
 """For each table that can be written: the function code that writes one value, and the one that

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from mbtool.core import CutError, DamageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.reading import Reading
 
@@ -29,6 +29,34 @@ class Work(Protocol):
     @property
     def noun(self) -> str:
         """What is counted, in the plural: `transactions`."""
+
+
+FILES = "files"
+
+
+@dataclass
+class CountedWork:
+    """Work of which the number of items is known; `counted` counts them as they pass."""
+
+    total: int
+    noun: str = FILES
+    text: str = ""
+    """What is being done, for the user; empty for the number of the item: `file 3 of 60`."""
+    done: int = 0
+
+    @property
+    def fraction(self) -> float | None:
+        return min(self.done / self.total, 1.0) if self.total else None
+
+    @property
+    def progress_text(self) -> str:
+        item = self.noun.removesuffix("s")
+        return self.text or f"{item} {min(self.done + 1, self.total)} of {self.total}"
+
+    def counted(self, items: Iterable[T]) -> Iterator[T]:
+        for item in items:
+            self.done += 1
+            yield item
 
 
 class Watch(Protocol):

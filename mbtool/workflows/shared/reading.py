@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -35,12 +36,13 @@ from mbtool.core import (
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.core.moments import counted
 from mbtool.decode.line_timing import LineTiming
-from mbtool.devices import Assignments, Namer
+from mbtool.devices import Assignments, NamedTransaction, Namer, Profile
 from mbtool.logs import LogReader
 from mbtool.logs.links import (
     ACROSS,
     PORTS,
     RTU_PORTS,
+    LinkMetadata,
     all_assignments,
     names_any_port,
     ports_of,
@@ -63,11 +65,7 @@ from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.undecoded_logs import LogRemarks, evidence_and_events
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from mbtool.decode.decoder import Decoder, Evidence, Record
-    from mbtool.devices import NamedTransaction, Profile
-    from mbtool.logs.links import LinkMetadata
     from mbtool.sources.byte_files import SerialPiece
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.unreadable_lines import LineOf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,6 @@ from mbtool.core import InputError
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.reading import ReadingOptions
 

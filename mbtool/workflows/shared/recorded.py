@@ -9,7 +9,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import InputError, UsageError, WireEvent
-from mbtool.devices import NamedTransaction
+from mbtool.devices import Assignments, NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.replay import TimeRange
 from mbtool.replay.connections import ConnectionHistory, RecordedConnection, in_window
@@ -18,7 +18,6 @@ from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from mbtool.devices import Assignments
     from mbtool.replay.traffic import Sample
 
 

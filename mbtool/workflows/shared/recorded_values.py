@@ -6,20 +6,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
-from mbtool.devices import write_reference
+from mbtool.devices import NamedTransaction, Profile, write_reference
 from mbtool.modbus import Outcome
 from mbtool.replay import Recording
 from mbtool.workflows.shared.read_all import read_all
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.slave.device import Course, FromCapture, Recall
 
 

@@ -19,20 +19,17 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
 from threading import Condition, Thread
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, EventKind, Packet, WireEvent
-from mbtool.logs.messages import DecodingMark
+from mbtool.logs.messages import DecodingMark, LogItem
 from mbtool.logs.undecoded import UNDECODED_PIECES
-from mbtool.sources.inbox import Inbox
+from mbtool.sources.inbox import Inbox, Item
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.decode.decoder import Record
-    from mbtool.logs.messages import LogItem
-    from mbtool.sources.inbox import Item
 
 TICK_S = 0.1
 """The recorder's thread waits at most this long (seconds) for evidence before it checks the clock
@@ -125,9 +122,8 @@ class Recorder:
             self._log.write(record)
             return
         with self._changed:
-            self._changed.wait_for(
-                lambda: len(self._records) < MAX_RECORDS or self._failure is not None
-            )
+            while len(self._records) >= MAX_RECORDS and self._failure is None:
+                self._changed.wait()
             self._records.append(record)
         self.check()
 

@@ -15,23 +15,19 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Direction, EventKind, LinkSpec, WireEvent
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
-from mbtool.devices import Assignment, Assignments, Namer, Who
+from mbtool.devices import Assignment, Assignments, NamedTransaction, Namer, Profile, Who
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.response import ConnectionEnding, wire_pieces
+from mbtool.modbus.response import ConnectionEnding, Distortion, wire_pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from mbtool.core import LinkSpec
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction, Profile
     from mbtool.modbus import Response
-    from mbtool.modbus.response import Distortion
     from mbtool.modbus.transaction import Transaction
     from mbtool.slave.device import Behaviour, DeviceOutput
 

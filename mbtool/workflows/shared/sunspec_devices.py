@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,15 +21,13 @@ from mbtool.core.limits import MODBUS_PORT
 from mbtool.devices import Assignment, Assignments, Who
 from mbtool.devices.sunspec_map import READ_HOLDING, SunSpecMap, mark_in
 from mbtool.sources.files import place_of
-from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
     from os import PathLike
 
     from mbtool.decode.decoder import Record
     from mbtool.devices.importing.register_list import ImportedList
-    from mbtool.workflows.shared.reading import ReadingOptions
 
 MAX_DEVICES = 1024
 STANDARD_INPUT = "-"

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,6 @@ from mbtool.core import UsageError, WireEvent
 from mbtool.core.moments import TimePoint, clock_time, day, parse_moment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from mbtool.decode.decoder import Record
 
 HOLD_NS = 60_000_000_000

@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import msgspec
 
@@ -23,9 +23,6 @@ from mbtool.devices.importing.spellings import parse_order, parse_type
 from mbtool.devices.references import SHORT_WORDS
 from mbtool.modbus.tables import Table
 from mbtool.workflows.shared.questions import Wording
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _SHORT = re.compile(r"([uif])(16|32|64)([a-d]{4})?")
 _STRING = re.compile(r"(?:str|string|s)(\d{1,3})")

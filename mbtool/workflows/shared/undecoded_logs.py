@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, InputError, WireEvent
+from mbtool.core import Chunk, EventKind, InputError, Packet, WireEvent
 from mbtool.core.moments import clock_time, counted, day
 from mbtool.logs.links import SPEC
 from mbtool.logs.undecoded import (
@@ -28,9 +29,6 @@ from mbtool.logs.undecoded import (
 from mbtool.sources.files import place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence, Set
-
-    from mbtool.core import Chunk, Packet
     from mbtool.logs import LogReader
 
 _OF_SOURCES = frozenset(

@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -29,8 +29,6 @@ from mbtool.serial_line.settings_fit import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.decode.decoder import Record
 
 MIN_BYTES = ENOUGH_WITHOUT_FRAME

@@ -14,12 +14,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from mbtool.core import Chunk, Connection, Direction, EventKind
 
-    from mbtool.core import Chunk, Connection, Direction, EventKind
+if TYPE_CHECKING:
     from mbtool.modbus import Transport
 
 SEARCH_NS = 10_000_000_000

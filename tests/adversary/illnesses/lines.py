@@ -50,7 +50,10 @@ SHARE = {MILD: 0.05, MEDIUM: 0.25, SEVERE: 0.8}
 class Plant:
     """A line with its ordinary master and slaves, before it becomes sick."""
 
-    def __init__(self, seed: int, beside: str, baud: int | None = None) -> None:
+    def __init__(
+        self, seed: int, beside: str, baud: int | None = None, seconds: int = SECONDS
+    ) -> None:
+        self.seconds = seconds
         self.random = random = Random(seed)
         self.beside = beside
         self.settings = Settings(baud or random.choice((9600, 19200, 38400)))
@@ -85,11 +88,11 @@ class Plant:
         )
         self.sick: set[int] = {DEAD_UNIT, SLOW_UNIT}
 
-    def run(self, seconds: float = SECONDS) -> list[Sent]:
+    def run(self) -> list[Sent]:
         for slave in self.slaves:
             slave.start()
         self.master.start()
-        self.line.run(seconds)
+        self.line.run(self.seconds)
         return self.line.sent
 
     def _usual(self) -> Callable[[], float]:
@@ -206,7 +209,7 @@ def settings(plant: Plant, severity: str) -> Told:
         other, begin, end = Settings(mine.baud, "N"), 0.5, 1.0
     else:
         other, begin, end = Settings(mine.baud * 2), 0.0, 1.0
-    begin_ns, end_ns = begin * SECONDS * SECOND, end * SECONDS * SECOND
+    begin_ns, end_ns = begin * plant.seconds * SECOND, end * plant.seconds * SECOND
     before: list[Sent] = []
     wrong: list[Sent] = []
     behind: list[Sent] = []
@@ -352,7 +355,8 @@ ILLNESSES: tuple[tuple[str, Callable[[Plant, str], Told]], ...] = (
 )
 
 
-def cases(first_seed: int) -> Iterator[Case]:
+def cases(first_seed: int, seconds: int = SECONDS) -> Iterator[Case]:
+    """Recordings of `seconds` s."""
     seed = first_seed
     for code, make in ILLNESSES:
         for severity in SEVERITIES:
@@ -366,7 +370,7 @@ def cases(first_seed: int) -> Iterator[Case]:
                         severity=severity,
                         beside=beside,
                         timing=timing,
-                        write=partial(_write, seed, make, severity, beside, timing),
+                        write=partial(_write, seed, make, severity, beside, timing, seconds),
                     )
     for timing in TIMINGS:
         for number in (1, 2):
@@ -376,7 +380,7 @@ def cases(first_seed: int) -> Iterator[Case]:
                 severity=f"plant {number}",
                 beside=ALONE,
                 timing=timing,
-                write=partial(_write, seed, _healthy, "", ALONE, timing),
+                write=partial(_write, seed, _healthy, "", ALONE, timing, seconds),
             )
 
 
@@ -390,9 +394,10 @@ def _write(
     severity: str,
     beside: str,
     timing: str,
+    seconds: int,
     path: Path,
 ) -> Recording:
-    plant = Plant(seed, beside)
+    plant = Plant(seed, beside, seconds=seconds)
     told, settings_ = make(plant, severity)
     arguments = write_line(path, told, settings_, timing)
     units = {slave.unit for slave in plant.slaves}

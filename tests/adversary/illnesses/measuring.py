@@ -39,7 +39,10 @@ class Verdict:
 
 def judge(case: Case, folder: Path) -> Verdict:
     recording = case.write(folder / "recording")
-    told = troubles_of(recording)
+    return verdict_of(case, recording, troubles_of(recording))
+
+
+def verdict_of(case: Case, recording: Recording, told: list[dict[str, Any]]) -> Verdict:
     named = {one["code"] for one in told}
     wrong = tuple(
         one["code"]

@@ -36,14 +36,12 @@ SPELLINGS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("spelling", "type_"),
-    [(one.strip(), type_) for type_, all_ in SPELLINGS.items() for one in all_.split(",")],
-)
-def test_a_spelling_is_known(spelling: str, type_: str) -> None:
-    kind = parse_type(spelling)
-    assert kind is not None
-    assert kind.type == type_
+@pytest.mark.parametrize(("type_", "spellings"), SPELLINGS.items())
+def test_a_spelling_is_known(type_: str, spellings: str) -> None:
+    for spelling in spellings.split(","):
+        kind = parse_type(spelling.strip())
+        assert kind is not None, spelling
+        assert kind.type == type_, spelling
 
 
 @pytest.mark.parametrize(
