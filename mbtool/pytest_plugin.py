@@ -78,7 +78,9 @@ def mbtool_slave(
                     options[name] = _beside(request, options[name])
             if isinstance(profile, str | Path) and str(profile).endswith(".toml"):
                 profile = _beside(request, profile)
-            return _started(lambda: Slave(profile, on, **options), request, tmp_path_factory, ends)
+            return _start_slave(
+                lambda: Slave(profile, on, **options), request, tmp_path_factory, ends
+            )
 
         yield make
 
@@ -101,7 +103,7 @@ def mbtool_replay(
             if isinstance(options.get("faults"), str | Path):
                 options["faults"] = _beside(request, options["faults"])
             recording = _beside(request, path)
-            return _started(
+            return _start_slave(
                 lambda: Replay(recording, on, **options), request, tmp_path_factory, ends
             )
 
@@ -139,7 +141,7 @@ def pytest_runtest_makereport(
     return report
 
 
-def _started(
+def _start_slave(
     make: Callable[[], _Shell],
     request: pytest.FixtureRequest,
     factory: pytest.TempPathFactory,

@@ -22,7 +22,8 @@ _QUOTED = "_MBTOOL_QUOTED"
 """This module sets this environment variable if the word to complete begins with a quote."""
 _BREAKS = ":=@"
 _LISTENERS = ("sniff", "stats", "watch")
-"""The commands that listen on interfaces; the links of all others are serial ports."""
+"""The commands that also listen on network interfaces, so that the completion offers these. The
+links of all other commands are serial ports."""
 
 
 def is_asked() -> bool:

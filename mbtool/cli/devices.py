@@ -168,10 +168,10 @@ def import_(
         word_order=WordOrder(word_order) if word_order is not None else None,
         skip_bad=skip_bad,
     )
-    give_imported(_imported(files[0], output, options), output, overwrite=overwrite)
+    give_imported(_import_list(files[0], output, options), output, overwrite=overwrite)
 
 
-def _imported(file: str, output: str | None, options: ImportOptions) -> ImportedList:
+def _import_list(file: str, output: str | None, options: ImportOptions) -> ImportedList:
     from mbtool.devices.importing.register_list import BadRowsError, import_register_list
 
     try:

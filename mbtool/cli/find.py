@@ -113,7 +113,8 @@ def find(
 def _sources_and_numbers(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files or links, and numbers.
 
-    The first one is a file or link; the numbers begin with the first of the others that is none.
+    The first one is a file or link; the numbers begin with the first of the others that is no file
+    or link.
     """
     from mbtool.cli.stats import is_link
 

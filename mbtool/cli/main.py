@@ -204,7 +204,7 @@ def run(arguments: list[str]) -> int:
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError) and code != exit_codes.UNREADABLE:
-            return _refused(error)
+            return _report_os_error(error)
     return code
 
 
@@ -232,7 +232,7 @@ def _run_command(arguments: list[str]) -> int:
     except BrokenPipeError:
         return exit_codes.DONE  # The reader of the output, such as head, has closed it.
     except OSError as error:
-        return _refused(error)
+        return _report_os_error(error)
     return exit_codes.DONE
 
 
@@ -255,7 +255,7 @@ _ELSEWHERE = {
 and the advice. The advice is given only if the called command has this option; "" always holds."""
 
 
-def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
+def _advice_for_foreign_option(option: str | None, context: typer.Context | None) -> str | None:
     """Return the advice in _ELSEWHERE for an option that the called command does not have.
 
     Returns None if there is no advice. `context` belongs to the called command.
@@ -278,7 +278,7 @@ def _usage(error: typer.TyperException, command: str) -> str:
         context = context.parent
     where = context.command_path if context is not None else command
     wanted = getattr(error, "option_name", None)
-    if (instead := _elsewhere(wanted, context)) is not None:
+    if (instead := _advice_for_foreign_option(wanted, context)) is not None:
         message = f"{message.partition(' (')[0]}; {instead}"
     examples = examples_of(where)
     if message.startswith("Missing ") and examples is not None:
@@ -286,7 +286,7 @@ def _usage(error: typer.TyperException, command: str) -> str:
     return f"{message}; see {where} --help"
 
 
-def _refused(error: OSError) -> int:
+def _report_os_error(error: OSError) -> int:
     """Print an error of the operating system, usually from writing to standard output.
 
     Returns the exit code.
@@ -377,7 +377,7 @@ class CommandTable(Mapping[str, Any]):
 
 
 def _docstring(name: str, module: str) -> str | None:
-    """Return the docstring of the function of a command; None if it is none."""
+    """Return the docstring of the function of a command; None if it has none."""
     full = f"{__package__}.{module}"
     compiled = SourceFileLoader(full, str(Path(__file__).with_name(f"{module}.py"))).get_code(full)
     for code in () if compiled is None else compiled.co_consts:

@@ -12,7 +12,7 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.options import FORMATS, EventChoice, Format, SortKey
 from mbtool.cli.output_file import emptied, is_old, open_file
-from mbtool.cli.output_path import chosen_format, demand_new, named_file
+from mbtool.cli.output_path import chosen_format, demand_new, is_same_file, named_file
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
@@ -244,7 +244,9 @@ def open_output(
         if path is None:
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
-    if points is not None and (chosen is not Format.PARQUET or points == path):
+    if points is not None and (
+        chosen is not Format.PARQUET or (path is not None and is_same_file(points, path))
+    ):
         raise UsageError("--points names a second file beside -o OUT.parquet")
     stays = not in_place and is_old(path)
     if in_place and is_old(path):

@@ -11,6 +11,8 @@ from mbtool.cli.talk import say
 from mbtool.core import UsageError
 
 STANDARD_OUTPUT = "-"
+_STDIN = 0
+"""The file descriptor of standard input."""
 
 F = TypeVar("F")
 
@@ -69,14 +71,17 @@ def demand_new(path: str | None, *, overwrite: bool) -> None:
 def demand_other_file(files: Sequence[str], output: str | None) -> None:
     """Raise UsageError if the output file is also one of the inputs."""
     for file in files:
-        if output is not None and _is_same(file, output):
+        if output is not None and is_same_file(file, output):
             raise UsageError(f"{output}: is an input and would be overwritten; name another file")
 
 
-def _is_same(file: str, output: str) -> bool:
-    if STANDARD_OUTPUT in (file, output):
+def is_same_file(file: str, output: str) -> bool:
+    """True if two paths name one file, of which `output` is to be written; "-" is standard input or
+    output.
+    """
+    if output == STANDARD_OUTPUT:
         return False
     try:
-        return os.path.samefile(file, output)
+        return os.path.samefile(_STDIN if file == STANDARD_OUTPUT else file, output)
     except OSError:  # One of the two files does not exist.
         return os.path.abspath(file) == os.path.abspath(output)

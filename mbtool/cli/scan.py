@@ -170,7 +170,7 @@ def scan(
 def parse_ranges(text: str, option: str, allowed: range) -> list[int]:
     """Return the numbers of a text such as `1..20,40`, each once, in its order.
 
-    Raises UsageError if it is none, or if a number is not in `allowed`.
+    Raises UsageError if the text is no list of numbers, or if a number is not in `allowed`.
     """
     return list(dict.fromkeys(at for span in _spans(text, option, allowed) for at in span))
 

@@ -124,7 +124,7 @@ def stats(
 
 
 def is_link(text: str) -> bool:
-    """True if the text is a link. A file is none, even if its name begins like one."""
+    """True if the text is a link. A file is not a link, even if its name begins like one."""
     return text.startswith(_LINK_KINDS) and not os.path.exists(text)
 
 

@@ -34,8 +34,8 @@ MAX_RUN_BYTES = 512 * 1024 * 1024
 many bytes. This bounds the disk space for copies of files from an object store."""
 NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
 """Before and after a run (the files that one decoder decodes), further files are read until they
-have NEAR_BYTES bytes together, at most MAX_NEAR files. Of each file after the run, only the first
-NEAR_BYTES are read: that is enough for the responses to the last requests."""
+have NEAR_BYTES bytes together, at most MAX_NEAR files. Only the first NEAR_BYTES of each file after
+the run are read: that is enough for the responses to the last requests."""
 RUNS_EACH = 4
 """Number of runs (files that one decoder decodes in a row) for each process. With several runs, all
 processes end at about the same time."""

@@ -77,7 +77,7 @@ def _stream(path: str) -> Any:
     """Open a file for reading, on this machine or in an object store."""
     if not is_store_address(path):
         return open(path, "rb")
-    store, place = _opened(path)
+    store, place = _open_store(path)
     return store.open_input_stream(place, compression=None)
 
 
@@ -97,7 +97,7 @@ class OutputStore:
         if self._is_local:
             self._fs, self._root = fs.LocalFileSystem(), os.path.abspath(address)
         else:
-            self._fs, self._root = _opened(self.address)
+            self._fs, self._root = _open_store(self.address)
 
     def make(self, folder: str) -> None:
         """Make a folder, with those above it, if it is missing. An object store needs none.
@@ -188,7 +188,7 @@ def _remote_files(pattern: str) -> list[InputFile]:
     This lists the folders level by level, and only those that match, because a store may have very
     many others.
     """
-    store, path = _opened(pattern)
+    store, path = _open_store(pattern)
     folders, *parts = path.split("/")
     begin = pattern.partition("://")[0]
     inside = [fs.FileInfo(folders, fs.FileType.Directory)]
@@ -208,7 +208,7 @@ def _remote_files(pattern: str) -> list[InputFile]:
     return [InputFile(f"{begin}://{one.path}", one.size, one.mtime_ns or 0) for one in files]
 
 
-def _opened(address: str) -> tuple[Any, str]:
+def _open_store(address: str) -> tuple[Any, str]:
     """Connect to the object store of an address; return the store, and the path in it.
 
     Raises UsageError for an address of an unknown kind.

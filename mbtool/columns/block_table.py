@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from mbtool.columns.arrays import Bools, Int64s, Octets, distinct, pieces
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.plain_transactions import PlainObjects, origin_fields
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
@@ -229,7 +229,7 @@ class BlockTables:
         plain, made = self._plain.table(decoded.plain)
         if rows:
             places = [place for place, one in records if not isinstance(one, WireEvent)]
-            order = np.concatenate([order_of(decoded.plain.response), places])
+            order = np.concatenate([result_sort_keys(decoded.plain.response), places])
             both = pa.concat_tables([plain, row_table(rows)])
             plain = both.take(pa.array(np.argsort(order, kind="stable")))
         return TransactionBatch(plain, [*(one for _, one in records), *made], made)

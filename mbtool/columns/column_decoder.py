@@ -3,9 +3,9 @@ other packets that may carry Modbus to the Decoder.
 """
 
 # A plain stretch is a series of request and response pairs of one connection, in order and without
-# a gap (stretches.py). Where a stretch begins, the Decoder is asked if the connection is at rest:
-# no request is pending and no byte is out of order. If it is at rest, the transactions are read
-# from the arrays, and the Decoder is told what it would have learned from them
+# a gap (stretches.py). Where a stretch begins, the Decoder is asked whether the connection is at
+# rest: no request is pending and no byte is out of order. If it is at rest, the transactions are
+# read from the arrays, and the Decoder is told what it would have learned from them
 # (decode/plain_stretch.py). If it is not, the Decoder is fed the stretch's packets up to its next
 # request, and is asked again there. The Decoder is fed all packets outside of stretches that may
 # carry Modbus, in the order of the file.
@@ -73,8 +73,9 @@ class DecodedBlock:
 
     plain: PlainRows | None = None
     records: list[tuple[int, Record]] = field(default_factory=list)
-    """The transactions and events from the Decoder, each with its sort key (`order_of`). A
-    transaction in `plain` has the key that `order_of` gives for the packet of its response."""
+    """The transactions and events from the Decoder, each with its sort key (`result_sort_keys`). A
+    transaction in `plain` has the key that `result_sort_keys` gives for the packet of its
+    response."""
     passed: PassedConnections | None = None
     """The connections that were read from arrays as a whole, from SYN to FIN; None if there are
     none. `records` lacks their opening and closing events."""
@@ -108,7 +109,7 @@ class DecodedBlock:
         return max(found)[1] if found else None
 
 
-def order_of(packets: Int64s) -> Int64s:
+def result_sort_keys(packets: Int64s) -> Int64s:
     """Return, for each index of a packet in the block, the sort key of the results that the
     packet's bytes complete.
     """
@@ -156,15 +157,15 @@ class ColumnDecoder:
         `numbers` has the flow number of each segment.
         """
         if self._may_skip(block, headers, numbers):
-            yield self._passed(block, headers, numbers)
+            yield self._decode_arrays(block, headers, numbers)
         elif len(block) <= SMALLEST:
-            yield self._fed(block)
+            yield self._decode_singly(block)
         else:
             middle = len(block) // 2
             for begin, end in ((0, middle), (middle, len(block))):
                 yield from self._feed(*_part(block, headers, numbers, begin, end))
 
-    def _passed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
+    def _decode_arrays(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
         stretches = find_stretches(headers, numbers, block.data)
         taken = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches)
         decoded = taken.run()
@@ -201,7 +202,7 @@ class ColumnDecoder:
         last_ns = int(block.ts_ns.max())
         return not self._decoder.reassembler.may_drop(last_ns, used, len(headers.hidden))
 
-    def _fed(self, block: PacketBlock) -> DecodedBlock:
+    def _decode_singly(self, block: PacketBlock) -> DecodedBlock:
         decoded = DecodedBlock()
         for index in range(len(block)):
             for record in self._decoder.feed(block.packet(index)):
@@ -260,10 +261,10 @@ class _BlockPass:
         """For each segment, the latest time so far: times may go back by less than PATIENCE_NS."""
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """An index in `Segments`. The Decoder has got each segment before it, or only the segment's
-        time."""
+        """An index in `Segments`: each segment before it was given to the Decoder, whole or only
+        with its time."""
         self._used = 0
-        """An index in `Segments`. The connections of all segments before it were marked as used in
+        """An index in `Segments`: the connections of all segments before it were marked as used in
         the reassembler, which drops the connection that was not used for longest."""
         self._decoded = DecodedBlock()
         self._connections: list[Connection | None] = []

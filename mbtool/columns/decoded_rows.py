@@ -83,7 +83,7 @@ def with_decoded(
     ip_at = segments.ip_at[np.searchsorted(segments.index, packets)]
     more = _rows(block, some, of, packets, ip_at, data if rows is None else rows.data)
     left = [each for place, each in enumerate(records) if place not in taken]
-    return more if rows is None else _joined(rows, more), left
+    return more if rows is None else _join_rows(rows, more), left
 
 
 def _keys_without(records: Sequence[tuple[int, Record]], chosen: Sequence[int]) -> set[int]:
@@ -186,7 +186,7 @@ def _rows(
     )
 
 
-def _joined(rows: PlainRows, more: PlainRows) -> PlainRows:
+def _join_rows(rows: PlainRows, more: PlainRows) -> PlainRows:
     """Return the rows of both in the order of their responses; `more` has the bytes of both."""
     order = np.argsort(np.concatenate([rows.response, more.response]), kind="stable")
     both: dict[str, Any] = {

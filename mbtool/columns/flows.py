@@ -7,7 +7,7 @@ and a port).
 # packet.
 #
 # An end is the number port << PORT_AT | address. An IPv4 address is its own number. An IPv6 address
-# has a number that is given when it first comes, and the bit _SIX.
+# gets its number when it first comes, with the bit _IPV6_BIT set.
 #
 # Memory: about MAX_FLOWS flows are kept. If there are more, all are forgotten before the next block
 # and numbers begin at 0 again.
@@ -29,8 +29,8 @@ UNKNOWN = -1
 """The flow number of a segment that cannot be told, because another flow has the same hash."""
 PORT_AT = 48
 """The position, in bits, of the port in the number of an end."""
-_SIX = 1 << 47
-"""The bit that is set in the number of an IPv6 address."""
+_IPV6_BIT = 1 << 47
+"""The bit that is set in the number of an IPv6 address and clear in that of an IPv4 address."""
 
 _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F)
 _SHIFT = np.uint64(29)
@@ -66,13 +66,13 @@ class Addresses:
         number = self._numbers.setdefault(address, len(self._known))
         if number == len(self._known):
             self._known.append(address)
-        return _SIX | number
+        return _IPV6_BIT | number
 
     def end(self, end: int) -> tuple[int, bytes]:
         """Return the port and the address of an end."""
         address = end & (1 << PORT_AT) - 1
-        if address & _SIX:
-            return end >> PORT_AT, self._known[address ^ _SIX]
+        if address & _IPV6_BIT:
+            return end >> PORT_AT, self._known[address ^ _IPV6_BIT]
         return end >> PORT_AT, address.to_bytes(4, "big")
 
 

@@ -85,8 +85,8 @@ class Segments:
     """For each segment, the index of its packet in the block."""
     is_plain: Bools
     lower: Uint64s
-    """The smaller one of the connection's two ends, as the number that flows.py describes; `upper`
-    has the other one."""
+    """The smaller end of the connection, as the number that flows.py describes; `upper` has the
+    greater end."""
     upper: Uint64s
     from_lower: Bools
     from_master: Bools

@@ -3,9 +3,10 @@
 # A block holds at most BLOCK_PACKETS packets and about BLOCK_BYTES bytes of the file, so memory
 # does not grow with the file. In a pcap file, each record tells where the next one begins: one loop
 # in Python collects these offsets, then numpy reads all record headers at once. The enhanced packet
-# blocks of a pcapng file are read in the same way. packets/pcapng.py reads the first SLOWLY blocks
-# of a pcapng file one by one, and as many from every other part on (an interface, another kind of
-# packet block, damage). Otherwise a file with many such parts would become many small PacketBlocks.
+# blocks of a pcapng file are read in the same way. packets/pcapng.py reads the first
+# SINGLY_READ_BLOCKS blocks of a pcapng file one by one, and as many from every other part on (an
+# interface, another kind of packet block, damage). Otherwise a file with many such parts would
+# become many small PacketBlocks.
 #
 # Errors are raised as in packets/: after all packets before the damage.
 
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
 BLOCK_PACKETS = 65_536
 """The most packets of a block."""
 BLOCK_BYTES = 8 * 1024 * 1024
-"""The records of one block are looked for in this many bytes of the file. A record is never longer,
-so that a block has at least one."""
+"""The number of bytes of the file in which the records of one block are searched. A record is never
+longer, so a block has at least one."""
 LEAST_READ = 1024 * 1024
 """Each read of the file asks for at least this many bytes; few large reads are faster."""
 
@@ -56,9 +57,9 @@ SPARE = 64
 at the start of each packet without a check of the packet's length; whoever reads it must ignore the
 bytes behind the packet's end."""
 
-SLOWLY = 1024
-"""At the beginning of a pcapng file, and from each block on that is damaged or is no enhanced
-packet block, this many blocks are read one by one."""
+SINGLY_READ_BLOCKS = 1024
+"""The number of pcapng blocks that are read one by one, without arrays, at the beginning of a file
+and from each block on that is damaged or is no enhanced packet block."""
 
 _MAGIC = 4
 _BLOCK_HEAD = 8
@@ -154,7 +155,7 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
         return _PcapBlocks(source, form, name).blocks()
     if magic == PCAPNG_MAGIC:
         return _PcapngBlocks(source, name).blocks()
-    return _packed(read_capture(source, name))  # type: ignore[arg-type]
+    return _pack_blocks(read_capture(source, name))  # type: ignore[arg-type]
 
 
 class _Source:
@@ -167,9 +168,9 @@ class _Source:
         self._stream = stream
         self._held = b""
         self._at = 0
-        """The number of bytes of `_held` that callers have already taken. They stay in `_held`
-        until the next read of the file, because cutting them off would copy all bytes behind
-        them."""
+        """The number of bytes of `_held` that callers have already taken. These bytes stay in
+        `_held` until the next read of the file, because cutting them off would copy all bytes
+        behind them."""
         self._error: Exception | None = None
         self._is_ended = False
 
@@ -340,7 +341,7 @@ class _PcapngBlocks:
     def blocks(self) -> Iterator[PacketBlock]:
         source, reader = self._source, self._reader
         while source.peek(_BLOCK_HEAD):
-            yield from _packed(self._slowly())
+            yield from _pack_blocks(self._singly_read_packets())
             while not reader.has_lines:
                 block, is_full = self._enhanced_packets()
                 if block is None:
@@ -353,9 +354,9 @@ class _PcapngBlocks:
         if rest is not None:
             yield _block_of([rest])
 
-    def _slowly(self) -> Iterator[Packet]:
-        """Yield the packets among the next SLOWLY blocks of the file."""
-        for _ in range(SLOWLY):
+    def _singly_read_packets(self) -> Iterator[Packet]:
+        """Yield the packets among the next SINGLY_READ_BLOCKS blocks of the file."""
+        for _ in range(SINGLY_READ_BLOCKS):
             if not self._source.peek(_BLOCK_HEAD):
                 break
             packet = self._reader.read_block(self._source.take(_BLOCK_HEAD))
@@ -478,7 +479,7 @@ def _octets(data: bytes, begin: int, end: int) -> Octets:
     return np.frombuffer(data, np.uint8, end + SPARE - begin, begin)
 
 
-def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
+def _pack_blocks(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
     """Collect packets into blocks of at most BLOCK_PACKETS.
 
     If reading a packet fails, the error is raised after all packets before it were yielded.

@@ -42,7 +42,8 @@ class PassedConnections:
     flow: Int64s
     """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index, among the block's plain stretches, of the one that has all its transactions."""
+    """The index of the connection's only plain stretch among those of the block; it has all
+    transactions of the connection."""
     opened: Int64s
     """The index in the block of the packet with the connection's SYN."""
     opened_ns: Int64s
@@ -54,7 +55,7 @@ class PassedConnections:
 
     def events(self) -> list[tuple[int, Record]]:
         """Return the opening and the closing event of each connection, each with its sort key among
-        the results of the block (`order_of`).
+        the results of the block (`result_sort_keys`).
         """
         packets = enumerate(self.opened.tolist())
         found: list[tuple[int, Record]] = [(2 * at + 1, self.opening(one)) for one, at in packets]
@@ -98,7 +99,7 @@ def take_whole_connections(
         _connection(each, is_lower=lower, number=number)
         for number, (each, lower) in enumerate(zip(ends, is_lower, strict=True), first)
     ]
-    ended = _ended(segments, whole, connections, is_lower)
+    ended = _ended_connections(segments, whole, connections, is_lower)
     decoder.reassembler.take_ended(zip(ends, ended, strict=True))
     return PassedConnections(
         connections=connections,
@@ -112,7 +113,7 @@ def take_whole_connections(
     )
 
 
-def _ended(
+def _ended_connections(
     segments: Segments,
     whole: WholeConnections,
     connections: list[Connection],
@@ -193,8 +194,8 @@ class WholeConnections:
     flow: Int64s
     """The number of the connection's flow (its pair of IP addresses and TCP ports)."""
     stretch: Int64s
-    """The index, among those of the block, of the connection's only plain stretch. This stretch has
-    all transactions of the connection."""
+    """The index of the connection's only plain stretch among those of the block; it has all
+    transactions of the connection."""
     opening: Int64s
     """The index in `Segments` of the connection's SYN."""
     answering: Int64s

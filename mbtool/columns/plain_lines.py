@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from mbtool.columns.arrays import pieces
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 MAX_LINES = 65_536
 """If there are more templates than this, all are forgotten before the next block."""
-FEW = 4
+MIN_TEMPLATE_ROWS = 4
 """A template is made for a group that has at least this many rows in a block; the lines of smaller
 groups are made one by one, which is faster."""
 
@@ -128,7 +128,7 @@ class BlockLines:
         outcomes = Counter({Outcome.OK: len(chosen) - refused, Outcome.EXCEPTION: refused})
         if not (lines or unusual):
             return LineBatch("".join(usual_lines), outcomes, made)
-        places = order_of(plain.response)
+        places = result_sort_keys(plain.response)
         lines += [self._line_of(one) for one in unusual] + usual_lines
         places = np.concatenate([np.array(order, np.int64), places[others], places[chosen]])
         # Several rows may have one packet: they stay in their order.
@@ -151,8 +151,8 @@ class BlockLines:
         """Return templates (lines with %s in place of each field that differs within a group), and
         for each usual row the index of its template.
 
-        Rows of a group without a template that has fewer than FEW rows in this block are no longer
-        usual: to make a line of each is faster.
+        Rows of a group without a template that has fewer than MIN_TEMPLATE_ROWS rows in this block
+        are no longer usual: to make a line of each is faster.
         """
         chosen = np.flatnonzero(usual.is_usual)
         numbers: dict[object, int] = {}
@@ -174,7 +174,7 @@ class BlockLines:
         if len(self._forms) > MAX_LINES:
             self._forms.clear()
         is_new = np.array([key not in self._forms for key in keys], np.bool_)
-        is_rare = is_new & (counts < FEW)
+        is_rare = is_new & (counts < MIN_TEMPLATE_ROWS)
         new = np.flatnonzero(is_new & ~is_rare)
         made = objects.chosen(chosen[first[new]])
         for one, example in zip(new.tolist(), made, strict=True):
@@ -190,10 +190,10 @@ class BlockLines:
         prints nothing.
         """
         if not self._order:
-            line = self._line_of(_marked(like, is_full=True))
+            line = self._line_of(_with_marks(like, is_full=True))
             places = {name: line.index(_mark_of(name)) for name in (*_MARKS, *_TIMES)}
             self._order = sorted(places, key=places.__getitem__)
-        line = self._line_of(_marked(like, is_full=False)).replace("%", "%%")
+        line = self._line_of(_with_marks(like, is_full=False)).replace("%", "%%")
         for name in (*_NUMBERS, *_LISTS):
             # JSON puts a mark in quotes, as a text. Remove them, because a number takes its place.
             line = line.replace(f'"{_MARKS[name]}"', _MARKS[name])
@@ -270,7 +270,7 @@ def _mark_of(name: str) -> str:
     return str(_MARK_NS) if name == "request_ns" else _MARKS[name]
 
 
-def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
+def _with_marks(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
     """Return the transaction `like` with a mark in each field that differs within a group.
 
     If `is_full`, a list of values that is None is replaced by a mark, too.
@@ -288,10 +288,10 @@ def _hex(rows: PlainRows, begins: Int64s, sizes: Int64s) -> list[str]:
     the offset `begins[i]` on.
     """
     text = pieces(rows.data, begins, sizes).tobytes().hex()
-    return [*_cut(text, 2 * sizes)]
+    return [*_pieces(text, 2 * sizes)]
 
 
-def _cut(text: str, sizes: Int64s) -> Iterator[str]:
+def _pieces(text: str, sizes: Int64s) -> Iterator[str]:
     ends = np.cumsum(sizes)
     for begin, end in zip((ends - sizes).tolist(), ends.tolist(), strict=True):
         yield text[begin:end]

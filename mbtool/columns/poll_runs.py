@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import structs
 
 from mbtool.columns.arrays import Groups
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.plain_transactions import origin_fields
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.quiet_run import (
@@ -337,7 +337,9 @@ def items_in_packet_order(
     `make_run(begin, end)` makes the items for the rows with the indices `begin` to `end`
     (exclusive), for all of which `is_usual` is True; `make_singles` does so for other rows.
     """
-    places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
+    places = np.searchsorted(
+        result_sort_keys(rows.response), [place for place, _ in records]
+    ).tolist()
     changes = np.flatnonzero(is_usual[1:] != is_usual[:-1]) + 1
     cuts = sorted({*places, *changes.tolist(), len(is_usual)})
     begin = number = 0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.column_decoder import DecodedBlock, order_of
+from mbtool.columns.column_decoder import DecodedBlock, result_sort_keys
 from mbtool.columns.usual_rows import WRITE_COILS
 from mbtool.modbus.functions import READ_BITS
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_rows import PlainRows
 
 MOST_VALUES = 3 * 1024 * 1024
-"""A portion has at most this many registers and bits, and those of one transaction more."""
+"""A portion has at most this many registers and bits, plus those of its last transaction."""
 
 
 def portions(decoded: DecodedBlock) -> Iterator[DecodedBlock]:
@@ -40,7 +40,7 @@ def portions(decoded: DecodedBlock) -> Iterator[DecodedBlock]:
         return
     records = decoded.sorted_records()
     keys = [key for key, _ in records]
-    ends = [bisect_left(keys, key) for key in order_of(rows.response[cuts]).tolist()]
+    ends = [bisect_left(keys, key) for key in result_sort_keys(rows.response[cuts]).tolist()]
     passed = decoded.passed
     for (begin, end), (first, last) in zip(
         pairwise((0, *cuts, len(rows.response))), pairwise((0, *ends, len(records))), strict=True

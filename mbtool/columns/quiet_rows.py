@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.passed_connections import PassedConnections
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.poll_runs import BlockPolls, BlockRun, Likes
@@ -190,7 +190,8 @@ class _QuietBlock:
             self._events = _connection_events(passed, self._polls.known)
         events, rows = self._events, self._rows
         keys = np.concatenate([
-            events.key, np.array([key for key, _ in records], np.int64), order_of(rows.response),
+            events.key, np.array([key for key, _ in records], np.int64),
+            result_sort_keys(rows.response),
         ])  # fmt: skip
         order = np.argsort(keys, kind="stable")
         sizes = [len(events.key), len(records), len(rows.response)]
@@ -369,7 +370,7 @@ class _ConnectionEvents:
     """The openings and closings of connections that were read from arrays as a whole, in order."""
 
     key: Int64s
-    """The sort key among the results of the block (`order_of`)."""
+    """The sort key among the results of the block (`result_sort_keys`)."""
     ts_ns: Int64s
     connection: Int64s
     """The number of the connection."""
@@ -411,7 +412,7 @@ def _connection_events(
 ) -> _ConnectionEvents:
     """Return the events of `passed`; `numbers` has the number of each connection."""
     number = np.array([numbers[one] for one in passed.connections], np.int64)
-    key = order_of(np.concatenate([passed.opened, passed.closed]))
+    key = result_sort_keys(np.concatenate([passed.opened, passed.closed]))
     order = np.argsort(key, kind="stable")
     half = len(number)
     return _ConnectionEvents(

@@ -6,8 +6,8 @@ connection, with no segment missing or out of order. Works on the arrays of `Seg
 # each segment, in order and without a gap (decode/plain_stretch.py has the exact rule). A segment
 # continues the previous one of its connection if its sequence number and its acknowledgement number
 # are exactly the next ones of both directions. This module looks at the segments only. Only the
-# Decoder knows if a request or bytes were still pending on the connection when a stretch begins, so
-# the Decoder is asked before a stretch is used.
+# Decoder knows whether a request or bytes were still pending on the connection when a stretch
+# begins, so the Decoder is asked before a stretch is used.
 #
 # A hidden packet is one whose headers this package cannot read as arrays, such as an IP fragment or
 # a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.
@@ -134,7 +134,7 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
         from_master=segments.from_master[chosen],
         run=runs[places],
     )
-    payloads, data = _joined(payloads, data)
+    payloads, data = _join_split_requests(payloads, data)
     transactions, starts = _pair(payloads, data)
     bounds = np.concatenate([starts, [len(transactions.request)]])
     sent_again = np.flatnonzero(repeats)
@@ -172,7 +172,7 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
     return follows
 
 
-def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
+def _join_split_requests(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
     """Join the two payloads of each request that came in two segments.
 
     Returns the payloads, with each joined pair as one payload, and the data with the bytes of the
@@ -220,7 +220,7 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
 
 def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.NDArray[np.void]]:
     """Return two arrays with an element per payload: True if the payload is one whole Modbus/TCP
-    ADU; its first 8 bytes as MBAP header and function code, even if they are none.
+    ADU; its first 8 bytes as MBAP header and function code, even if they are something else.
 
     Payload i has `size[i]` bytes from the offset `begin[i]` on in `data`.
     """

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import gather
-from mbtool.columns.column_decoder import order_of
+from mbtool.columns.column_decoder import result_sort_keys
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
@@ -109,7 +109,7 @@ class SunSpecReads:
         if rows is not None and (self._rows.has_slaves or _MARK_BYTES in rows.data.tobytes()):
             usual = UsualValues(rows)
             found = np.flatnonzero(self._rows.find(rows, usual))
-            places = order_of(rows.response[found]).tolist()
+            places = result_sort_keys(rows.response[found]).tolist()
             made = self._objects.of(rows, usual).chosen(found)
             records += zip(places, made, strict=True)
             records.sort(key=lambda one: one[0])

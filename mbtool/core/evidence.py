@@ -180,7 +180,7 @@ class EventKind(StrEnum):
     """A retransmission whose bytes differ from the first copy."""
     SENT_AGAIN = "sent-again"
     """A TCP segment that its sender repeated after a while, as after a loss. A copy that comes at
-    once, as of a mirror port, is none."""
+    once, as from a mirror port, does not count as one."""
     DISCARDED = "discarded"
     """Data that was dropped because a limit of this program was exceeded."""
     REFUSED = "refused"

@@ -19,9 +19,9 @@ MAX_CLOCK_STEP_NS = 1_000_000_000
 set back. A smaller difference is normal: two ports on one line are read at different moments."""
 
 MAX_BACK_NS = 20_000_000
-"""If the time of a serial line's read is earlier than that of the read before by at most this, in
-ns, it is wrong: the bytes count as sent right behind those before. By more, the clock was set
-back."""
+"""If a read of a serial line has an earlier time than the read before it, by at most this many ns,
+the time is wrong: its bytes count as sent right behind those of the read before. If it is earlier
+by more, the clock was set back."""
 
 SLAVE_CONNECTIONS = 32
 """The default of the most masters that are connected to a slave that mbtool plays."""

@@ -217,7 +217,7 @@ class Bus:
             self._note_origin(len(data), place)
         events = self._splitter.feed(data, ts_ns)
         # Most reads complete no frame; returning early for them makes RTU decoding 8 % faster.
-        return self._paired(events) if events else []
+        return self._pair_adus(events) if events else []
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Note silence from the last byte until `now_ns`.
@@ -225,7 +225,7 @@ class Bus:
         Returns the ADUs, transactions and events that the silence completes, such as a request that
         has waited too long for its response.
         """
-        decoded = self._paired(self._splitter.advance(now_ns))
+        decoded = self._pair_adus(self._splitter.advance(now_ns))
         # Bytes that the splitter still holds may be the awaited response. So no request times out
         # while the splitter holds any.
         return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
@@ -239,17 +239,17 @@ class Bus:
         """
         events = self._splitter.close()
         end_ns = _until_unread(events, end_ns)
-        return [*self._paired(events), *self._pairing.close(end_ns)]
+        return [*self._pair_adus(events), *self._pairing.close(end_ns)]
 
     def _note_origin(self, size: int, place: StreamPlace | None) -> None:
         if self._origins is None:
             self._origins = SerialOrigins()
         self._origins.note(size, place)
 
-    def _paired(self, events: list[Adu | Skipped]) -> list[Decoded]:
+    def _pair_adus(self, events: list[Adu | Skipped]) -> list[Decoded]:
         if self._origins is not None:
             events = self._origins.added_to(events)
-        decoded = _paired(events, self._pairing, self._ends.link, ("", ""))
+        decoded = _pair_adus(events, self._pairing, self._ends.link, ("", ""))
         if self._splitter.has_disorder and not self._told_disorder and events:
             self._told_disorder = True
             decoded.append(
@@ -336,18 +336,18 @@ class ConnectionDecoder:
                 _LostBytes(one, progress.take_missing_bytes(), None)
                 for one, progress in self._progress.items()
             ]
-            return [*self._report_losses(gaps, ts_ns), *self._paired(events, direction)]
+            return [*self._report_losses(gaps, ts_ns), *self._pair_adus(events, direction)]
         self._progress[direction].take(place, len(data))
-        return self._placed(events, direction, ts_ns)
+        return self._pair_with_known_losses(events, direction, ts_ns)
 
     def _feed_datagram(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
     ) -> list[Decoded]:
         """Take a datagram: its bytes continue no earlier datagram."""
         splitter = self._splitters[direction]
-        decoded = self._paired(splitter.restart(), direction)
+        decoded = self._pair_adus(splitter.restart(), direction)
         origin = None if place is None else place.origin
-        return [*decoded, *self._paired(splitter.feed(data, ts_ns, origin), direction)]
+        return [*decoded, *self._pair_adus(splitter.feed(data, ts_ns, origin), direction)]
 
     def _begin_bus(
         self,
@@ -363,7 +363,7 @@ class ConnectionDecoder:
         The line begins with the event at index `begin`, or with the frame before the events if that
         is -1. Requests that wait for a response in the other direction are on the line as well.
         """
-        decoded = self._paired(events[: max(begin, 0)], direction)
+        decoded = self._pair_adus(events[: max(begin, 0)], direction)
         before, sent = self._last_adus.get(direction), self._last_adus.get(OTHER[direction])
         pieces = [(one.raw, _end_ns(one)) for one in events[max(begin, 0) :]]
         if begin < 0 and before is not None:
@@ -457,7 +457,7 @@ class ConnectionDecoder:
             told, self._bus = self._bus.close(ts_ns), Bus(self._link, STREAM_LINE)
             return [*told, lost]
         events = self._splitters[direction].gap(missing)
-        decoded = self._placed(events, direction, ts_ns) if events else []
+        decoded = self._pair_with_known_losses(events, direction, ts_ns) if events else []
         cut = sum(event.missing for event in events if isinstance(event, Adu))
         known_ns = ts_ns if kind is EventKind.CUT else acknowledged_ns
         self._progress[direction].skip(missing, cut, known_ns)
@@ -485,7 +485,7 @@ class ConnectionDecoder:
             events = splitter.close()
             if direction is Direction.RESPONSE:
                 end_ns = _until_unread(events, end_ns)
-            decoded += self._paired(events, direction)
+            decoded += self._pair_adus(events, direction)
         lost = {direction: progress.end() for direction, progress in self._progress.items()}
         losses = [_LostBytes(one, size, None) for one, size in lost.items() if size > _FIN]
         decoded += self._report_losses(losses, self._last_ns)
@@ -493,7 +493,7 @@ class ConnectionDecoder:
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 
-    def _placed(
+    def _pair_with_known_losses(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
     ) -> list[Decoded]:
         """Give the ADUs of one direction to the pairing; return ADUs, transactions and events.
@@ -504,7 +504,7 @@ class ConnectionDecoder:
         """
         other, progress = OTHER[direction], self._progress[direction]
         if progress.captured is None:
-            return self._paired(events, direction)
+            return self._pair_adus(events, direction)
         end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
@@ -532,16 +532,16 @@ class ConnectionDecoder:
                 decoded.append(event)
                 decoded += self._pairing.feed(event, AduPlace(end, received))
             else:
-                decoded += self._paired([event], direction)
+                decoded += self._pair_adus([event], direction)
         if losses:
             decoded += self._report_losses(losses, ts_ns)
         return decoded
 
-    def _paired(self, events: list[Adu | Skipped], direction: Direction) -> list[Decoded]:
-        return _paired(events, self._pairing, self._link, self._endpoints[direction])
+    def _pair_adus(self, events: list[Adu | Skipped], direction: Direction) -> list[Decoded]:
+        return _pair_adus(events, self._pairing, self._link, self._endpoints[direction])
 
 
-def _paired(
+def _pair_adus(
     events: list[Adu | Skipped],
     pairing: Pairing | NetworkPairing,
     link: str,

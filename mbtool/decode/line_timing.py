@@ -30,8 +30,8 @@ class LineTiming:
     t1_5: Silence | None = None
     t3_5: Silence | None = None
     response_timeout: Silence | None = None
-    """The time after which the master repeats a request, from an option; None if it was not given,
-    so that the decoder learns it from the line."""
+    """The time after which the master repeats a request, from an option; None without the option:
+    the decoder then learns the time from the line."""
 
     @property
     def is_given(self) -> bool:

@@ -60,8 +60,8 @@ class MasterHabits:
         """The time at which the last response was complete, in UTC ns; 0 before the first
         response."""
         self.lost_response_ns = 0
-        """The last time (ns) at which the capture was found to lack bytes of responses; 0 if there
-        was none. The responses came before."""
+        """The last time (ns) at which the capture was found to lack bytes of responses; 0 if it
+        lacks none. The responses came before this time."""
         self._slowest_ns: dict[int | None, int] = {}
         """By function code, the longest latency in ns; each response lowers it by 1/FORGET."""
         self._usual_ns: dict[int | None, int] = {}

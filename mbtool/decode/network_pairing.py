@@ -120,10 +120,11 @@ two have 16."""
 RECENT_WAITS = 16
 """The number of last waits of a master for a request without a response that are kept."""
 ENOUGH_WAITS = 3
-"""The number of about equal waits (EVEN) from which on they count as the master's time-out."""
-EVEN = 0.15
-"""Two waits of a master count as equal if they differ by at most this share (0 to 1). Of the last
-RECENT_WAITS waits, ENOUGH_WAITS equal ones show its time-out."""
+"""The number of about equal waits (WAIT_TOLERANCE) from which on they count as the master's
+time-out."""
+WAIT_TOLERANCE = 0.15
+"""Two waits of a master count as equal if they differ by at most this share (0 to 1). ENOUGH_WAITS
+equal ones among the last RECENT_WAITS waits show its time-out."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
@@ -145,12 +146,12 @@ class NetworkPairing:
         """For each of the last times at which the capture lacked bytes, the number of requests
         before it."""
         self._requests_lost_ns: int | None = None
-        """The last time (ns) at which the capture lacked requests; the first ADU's if the capture
-        lacks the beginning of the connection. None if it lacks none."""
+        """The last time (ns) at which the capture lacked requests; None if it lacks none. If the
+        capture lacks the beginning of the connection, the time of the first ADU counts."""
         self._readings = [PairReading([], [], before=MAX_BEFORE if joined else 0)]
         self._habits = MasterHabits()
         self._requests = 0
-        """The number of requests so far, with those that the capture lacks."""
+        """The number of requests so far, including those that the capture lacks."""
         self._waits: deque[int] = deque(maxlen=RECENT_WAITS)
         """The last times (ns) from a request without a response to the master's next request."""
         self._unanswered = UnansweredCounts()
@@ -517,7 +518,7 @@ class NetworkPairing:
             self._readings = without_costly(self._readings)
         first = self._readings[0]
         if len(self._readings) == 1:
-            self._show(first.steps, done)
+            self._emit_transactions(first.steps, done)
             first.steps = ()
         elif len(first.steps) > MAX_HELD:
             self._decide(done)
@@ -535,15 +536,15 @@ class NetworkPairing:
             )
         self._readings = [best]
         best.steps = ()
-        self._show(steps, done)
+        self._emit_transactions(steps, done)
         if others:
             self._doubt = OrderDoubt(_open_in(best), is_of_choice=True)
 
-    def _show(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
+    def _emit_transactions(self, steps: tuple[PairStep, ...], done: list[Transaction]) -> None:
         (reading,) = self._readings
         for step in steps:
             if step.response is not None:
-                done.append(self._responded(step.response, step))
+                done.append(self._transaction_of(step.response, step))
                 self._mark_others_answerable(step.response, step)
                 continue
             for one in step.requests:
@@ -564,7 +565,7 @@ class NetworkPairing:
             if is_same_id and one.can_get(response, step.place):
                 one.may_be_answered = True
 
-    def _responded(self, response: Adu, step: PairStep) -> Transaction:
+    def _transaction_of(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
             outcome = Outcome.UNSOLICITED
             if self._may_lack_request_of(response):
@@ -661,7 +662,9 @@ class NetworkPairing:
         waited_ns = one.next_ns - one.since_ns
         if waited_ns < FIRST_LATE_NS:
             return False
-        equal = [each for each in self._waits if abs(each - waited_ns) <= EVEN * waited_ns]
+        equal = [
+            each for each in self._waits if abs(each - waited_ns) <= WAIT_TOLERANCE * waited_ns
+        ]
         return one.is_repeated or len(equal) >= ENOUGH_WAITS
 
     def _note_next(self, one: OpenRequest, request: Adu | None, at_ns: int) -> None:

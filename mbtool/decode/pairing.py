@@ -16,8 +16,9 @@
 # the next one. If the master certainly still waited, and only one request was sent since, the
 # response is in time: a second master has sent that request. If the times do not tell which of the
 # two is true, the response counts as late and ambiguous, until the line has shown ENOUGH_OVERTAKEN
-# such responses among the last RECENT_REQUESTS requests. From then on, equal waits (EQUAL) before
-# the next request are the time-out of one master, and different waits show two masters.
+# such responses among the last RECENT_REQUESTS requests. From then on, equal waits
+# (MIN_EQUAL_WAITS) before the next request are the time-out of one master, and different waits show
+# two masters.
 #
 # If bytes that belong to no frame follow a request, they are its damaged response, and the request
 # has no answer. A response that follows such bytes directly may answer a damaged request, so it is
@@ -43,10 +44,10 @@ from mbtool.decode.transactions import (
     Ends,
     broadcast,
     capture_ended,
-    doubted,
     late,
     no_answer,
     unsolicited,
+    with_pair_confidence,
     with_response,
 )
 from mbtool.decode.unanswered_counts import UnansweredCounts
@@ -68,10 +69,10 @@ another request and then answered. With one master, a response comes after the n
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
 """The number of last requests among which ENOUGH_OVERTAKEN must be overtaken and then answered."""
-EVEN = 0.5
+EVEN_ODDS = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request of
 the unit."""
-EQUAL = 0.8
+MIN_EQUAL_WAITS = 0.8
 """The waits before requests count as one time-out if the shortest is at least this share (0 to 1)
 of the longest. Then there is one master, and late responses do not prove two."""
 MAX_HELD = 4
@@ -85,7 +86,7 @@ TWO_MASTERS = (
     "not wait long enough"
 )
 
-APART = 0.25
+MIN_APART = 0.25
 """Two responses of a unit answer two requests if the second begins later than the end of the first
 by at least this share (0 to 1) of the time that the first took. A second copy of the same response
 comes sooner."""
@@ -105,7 +106,7 @@ class _HeldChain(NamedTuple):
         with its own request.
         """
         return min(
-            self.responses[-1].end_ns + 2 * self._taken_ns,
+            self.responses[-1].end_ns + 2 * self._response_time_ns,
             self.requests[-2].end_ns + BUS_TIMEOUT_NS,
         )
 
@@ -114,11 +115,11 @@ class _HeldChain(NamedTuple):
         """The least time (ns) from the end of the unit's last response to its response to another
         request; a copy of the last response comes sooner.
         """
-        return int(APART * self._taken_ns)
+        return int(MIN_APART * self._response_time_ns)
 
     @property
-    def _taken_ns(self) -> int:
-        """The time that the unit took for its last answer if that is to the request before."""
+    def _response_time_ns(self) -> int:
+        """The time (ns) from the last request but one to the last response, which may answer it."""
         return self.responses[-1].start_ns - self.requests[-2].end_ns
 
 
@@ -229,7 +230,7 @@ class Pairing:
                 done += self._release(pending.unit)
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
-            pending = _doubted(pending, request)
+            pending = _with_doubt(pending, request)
             if self._is_damaged and not waits:
                 done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
                 done.append(self._unanswered_request(pending))
@@ -306,7 +307,11 @@ class Pairing:
         # If only slaves are heard, an equal response is the response to the next request.
         is_doubted = self._requests > 0 and response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
-        return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
+        return [
+            with_pair_confidence(
+                unsolicited(self._ends, response, outcome), EVEN_ODDS if is_doubted else 1.0
+            )
+        ]
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
@@ -335,7 +340,7 @@ class Pairing:
             done += self._two_masters(response)
             is_late = not (earlier.waits or self._has_told)
             if is_late and not self._has_timeout():
-                confidence = EVEN
+                confidence = EVEN_ODDS
         done.append(
             self._answered_transaction(
                 earlier.adu, response, is_late=is_late, confidence=confidence
@@ -383,7 +388,7 @@ class Pairing:
         elif is_answer and response.raw == held.responses[-1].raw:
             # It may be a repeater's copy, too. Which of two equal requests got it is no question.
             is_retry = held.requests[0].raw == held.requests[1].raw
-            return self._release(unit, 1.0 if is_retry else EVEN)
+            return self._release(unit, 1.0 if is_retry else EVEN_ODDS)
         if not is_answer:
             return self._release(unit)
         del self._held[unit]
@@ -425,7 +430,7 @@ class Pairing:
         retries = self._unanswered.take(request) if self._unanswered else 0
         done = with_response(self._ends, request, response, retries, ())
         if confidence < 1.0:
-            done = doubted(done, confidence)
+            done = with_pair_confidence(done, confidence)
         return late(done) if is_late else done
 
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:
@@ -460,7 +465,7 @@ class Pairing:
         if len(found) < ENOUGH_OVERTAKEN or not self._ends.timed or any(one.waits for one in found):
             return False
         waits = [one.waited_ns for one in found]
-        return min(waits) >= max(EQUAL * max(waits), LatencyStatistics.MIN_RETRY_NS)
+        return min(waits) >= max(MIN_EQUAL_WAITS * max(waits), LatencyStatistics.MIN_RETRY_NS)
 
     def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
         """True if the response to a request may come after `end_ns`, when the capture ends."""
@@ -472,7 +477,7 @@ class Pairing:
         return no_answer(self._ends, request, self._unanswered.add(request))
 
 
-def _doubted(pending: Adu, request: Adu) -> Adu:
+def _with_doubt(pending: Adu, request: Adu) -> Adu:
     """Return the pending request, with the confidence of `request` if that may answer it.
 
     `request` was taken for a request, and may be a response that repeats the pending one or, of a
@@ -521,12 +526,12 @@ class OpenLineRequest(NamedTuple):
 
     adu: Adu
     next_number: int
-    """The number of the request that followed it; the line's requests are counted from 1."""
+    """The number of the request after this one; the requests of the line are counted from 1."""
     waited_ns: int
-    """The time from its end to the start of the next request."""
+    """The time (ns) from the end of this request to the start of the next one."""
     waits: bool | None
-    """True if its master certainly still waited when the next request was sent, False if it had
-    given the request up, None if the times do not tell."""
+    """True if the master certainly still waited for this request when it sent the next one, False
+    if it had given the request up, None if the times do not tell."""
 
 
 class _Unit:

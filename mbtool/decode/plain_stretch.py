@@ -39,11 +39,13 @@ class PlainLimits(NamedTuple):
     """
 
     requests: frozenset[bytes]
-    """Unit and PDU of the unanswered requests: an equal request is a retry of them."""
+    """Unit and PDU of the unanswered requests. A request with the same unit and PDU is a retry."""
     responses: frozenset[tuple[int | None, int, int]]
-    """Transaction id, unit and function code that a late response to them has."""
+    """Transaction id, unit and function code of the late responses that may still come to the
+    unanswered requests."""
     until_ns: int
-    """The time (UTC ns) at which the first of them is closed."""
+    """The time (UTC ns) at which the Decoder gives up the first of the unanswered requests. The
+    array decoder may take only transactions whose response comes before it."""
 
 
 NO_LIMITS = PlainLimits(frozenset(), frozenset(), 2**63 - 1)

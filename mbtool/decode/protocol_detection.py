@@ -442,7 +442,8 @@ class _ProtocolCandidate:
         self.slave = connection.slave
         self.is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
-        """Maps a direction in the capture to this candidate's: the ends may be exchanged."""
+        """For each direction in the capture, the direction in this candidate: master and slave may
+        be exchanged."""
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0

@@ -61,7 +61,7 @@ def with_response(
     if Verdict.SPLIT in request.verdicts and Verdict.SPLIT not in response.verdicts:
         noticed.append(Verdict.ONLY_REQUEST_SPLIT)
     if request.missing or response.missing:
-        return _cut(ends, request, response, noticed, confidence)
+        return _truncated_transaction(ends, request, response, noticed, confidence)
     facts, pdu = _request_facts(request.pdu), response.pdu
     exception, outcome = None, Outcome.OK
     values: list[int] | None
@@ -111,7 +111,7 @@ def _read_response(
     return exception, outcome, _response_values(facts.pdu, response)
 
 
-def _cut(
+def _truncated_transaction(
     ends: Ends, request: Adu, response: Adu, verdicts: list[Verdict], confidence: float
 ) -> Transaction:
     """Make the transaction of a request and its response, of which one was not captured whole."""
@@ -124,7 +124,7 @@ def _cut(
         facts,
         whole.exception_code if whole is not None else None,
         outcome=Outcome.NOT_CAPTURED,
-        request_values=_listed(facts.values),
+        request_values=_value_list(facts.values),
         response_values=_response_values(facts.pdu, whole) if whole is not None else None,
         request_ns=request.end_ns,
         response_ns=response.end_ns,
@@ -163,10 +163,10 @@ def no_answer(ends: Ends, request: Adu, retries: int, confidence: float = 1.0) -
     `retries` is the number of unanswered requests before it with the same unit and PDU.
     `confidence` (0 to 1) tells how surely the capture has no response to it.
     """
-    return doubted(_alone(ends, request, Outcome.NO_ANSWER, retries), confidence)
+    return with_pair_confidence(_alone(ends, request, Outcome.NO_ANSWER, retries), confidence)
 
 
-def doubted(transaction: Transaction, confidence: float) -> Transaction:
+def with_pair_confidence(transaction: Transaction, confidence: float) -> Transaction:
     """Return the transaction with a pair confidence; it is ambiguous if that is below SURE."""
     if confidence >= 1.0:
         return transaction
@@ -213,7 +213,7 @@ def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITE
         _RequestFacts.of(Pdu(pdu.function, pdu.fields, None)),
         pdu.exception_code,
         outcome=outcome,
-        response_values=_listed(_values(pdu)),
+        response_values=_value_list(_values(pdu)),
         response_ns=response.end_ns,
         retries=0,
         response_raw=response.raw,
@@ -234,7 +234,7 @@ def _alone(
         facts,
         None,
         outcome=outcome,
-        request_values=_listed(facts.values),
+        request_values=_value_list(facts.values),
         request_ns=request.end_ns,
         retries=retries,
         request_raw=request.raw,
@@ -416,5 +416,5 @@ def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
     return None if values is None else list(values)
 
 
-def _listed(values: tuple[int, ...] | None) -> list[int] | None:
+def _value_list(values: tuple[int, ...] | None) -> list[int] | None:
     return None if values is None else list(values)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class UnansweredCounts(dict[tuple[int, bytes], int]):
     """Maps unit and PDU to the number of equal requests in a row that had no answer."""
 
-    # This is a dict because every transaction tests if it is empty; for a dict the test calls no
-    # Python function.
+    # This is a dict because every transaction tests whether it is empty; for a dict the test calls
+    # no Python function.
     __slots__ = ()
 
     def add(self, request: Adu) -> int:

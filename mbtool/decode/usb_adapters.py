@@ -59,8 +59,8 @@ _USUAL_BAUDS = (
     128000, 187500, 230400, 250000, 256000, 460800, 500000, 576000, 921600, 1000000, 1500000,
     2000000, 3000000,
 )  # fmt: skip
-"""The baud rates that a divisor's rate is compared with (_NEAR)."""
-_NEAR = 0.03
+"""The baud rates that a divisor's rate is compared with (_BAUD_TOLERANCE)."""
+_BAUD_TOLERANCE = 0.03
 """The rate of a divisor is shown as a usual baud rate if they differ by at most this share
 (0 to 1): two UARTs may differ by no more."""
 _PARITIES = ("N", "O", "E", "N", "N")
@@ -105,20 +105,21 @@ class _Port:
     parity: str = "N"
     stop_bits: int = 1
     last_ns: int = 0
-    """The time of its last transfer with bytes."""
+    """The time (ns) of the port's last transfer with bytes."""
     sent_ns: int = 0
     """The time at which the last byte that the machine has sent left the adapter."""
     is_ascii: bool | None = None
-    """None until bytes show it: the beginning of an ASCII frame, or a whole RTU frame."""
+    """True for ASCII, False for RTU; None until the bytes show the beginning of an ASCII frame or a
+    whole RTU frame."""
     line: SerialLink | None = None
-    """The line as its last bytes showed it; None if its settings are unknown."""
+    """The line with the settings of its last bytes; None if the settings are unknown."""
     has_changed: bool = False
     """True if the last bytes came with other settings than those before."""
     errors: set[int] = field(default_factory=set)
-    """The bits of errors that FTDI's status had last."""
+    """The error bits in the last status that the FTDI adapter sent."""
 
     def format(self) -> SerialFormat | None:
-        """The line's settings; None if they were not seen, or are none of Modbus."""
+        """The line's settings; None if no settings were seen, or if Modbus does not allow them."""
         if self.baud is None:
             return None
         try:
@@ -132,10 +133,10 @@ class _Device:
     """The maker and the ports of one USB device."""
 
     maker: Maker | None = None
-    """None as long as nothing shows that it is an adapter."""
+    """The maker of the adapter; None as long as nothing shows that the device is an adapter."""
     packet_size: int | None = None
     ports: defaultdict[int, _Port] = field(default_factory=lambda: defaultdict(_Port))
-    """The ports by their number, from 0. Only FTDI's adapters have several."""
+    """The ports of the adapter by their number, from 0. Only FTDI's adapters have several."""
 
 
 class UsbAdapters:
@@ -202,7 +203,7 @@ class UsbAdapters:
         elif transfer.is_completion and transfer.data:
             setup = self._setups.pop(key, b"")
             if setup and setup[0] & 0x80:
-                _described(device, setup, transfer.data)
+                _note_description(device, setup, transfer.data)
         elif transfer.data and key in self._setups:
             _set_up(device, self._setups[key], transfer.data)
 
@@ -401,7 +402,7 @@ def _cp210x_settings(device: _Device, request: _Request, data: bytes) -> bool:
     return True
 
 
-def _described(device: _Device, setup: bytes, data: bytes) -> None:
+def _note_description(device: _Device, setup: bytes, data: bytes) -> None:
     """Take what a device says of itself: its maker, and the size of its packets."""
     kind, request, value, _, _ = _SETUP.unpack(setup)
     if request != _GET_DESCRIPTOR or kind & 0x7F:
@@ -427,4 +428,4 @@ def _distance(rate: float) -> float:
 def _usual_baud_near(rate: float) -> int:
     """The usual baud rate next to a rate, if it is near; else the rate itself."""
     baud = min(_USUAL_BAUDS, key=lambda one: abs(rate - one) / one)
-    return baud if abs(rate - baud) <= _NEAR * baud else max(1, round(rate))
+    return baud if abs(rate - baud) <= _BAUD_TOLERANCE * baud else max(1, round(rate))

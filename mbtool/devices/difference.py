@@ -24,7 +24,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The content of one of the two captures at the place where they differ."""
 
     text: str
-    """This capture's content in words, for a user; empty if the capture has nothing there."""
+    """The content of this capture in words, for a user; empty if the capture has nothing there."""
     count: int | None = None
     """Number of transactions in this capture that the difference is about; None if they were not
     counted."""

@@ -31,7 +31,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError, reason_of
-from mbtool.core.nesting import why_too_deep
+from mbtool.core.nesting import MAX_NUMBER, why_refused
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import description
 from mbtool.devices.validation import validate
@@ -90,8 +90,8 @@ def parse_toml(data: bytes, file: str, max_bytes: int, what: str, hint: str = ""
         raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
     try:
         text = data.decode("utf-8-sig")  # Some editors write a byte order mark.
-        if too_deep := why_too_deep(text):
-            raise TomlError(file, "TOML", too_deep)
+        if refused := why_refused(text):
+            raise TomlError(file, "TOML", refused)
         return tomllib.loads(text)
     except UnicodeDecodeError as error:
         problem = "not UTF-8, so not TOML; save it as UTF-8"
@@ -164,8 +164,8 @@ def profile_from_json(data: bytes, file: str) -> Profile:
         raise ProfileError(file, "size", f"more than {MAX_JSON_BYTES} bytes are no profile")
     try:
         text = data.decode("utf-8")
-        if too_deep := why_too_deep(text):
-            raise ProfileError(file, "JSON", too_deep)
+        if refused := why_refused(text):
+            raise ProfileError(file, "JSON", refused)
         keys = json.loads(text)
     except ValueError as error:
         raise ProfileError(file, "JSON", f"cannot be read: {error}") from error
@@ -356,7 +356,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
             file, key, f"expected a table, {{ key = value }}, not {_value_text(value)}"
         )
     _refuse_unknown(cls, value, file, key)
-    for name in _required(cls):
+    for name in _required_fields(cls):
         if name not in value:
             about = description(cls, name).partition("\n")[0].removesuffix(".")
             raise ProfileError(
@@ -376,7 +376,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
 
 
 @functools.cache
-def _required(cls: type[msgspec.Struct]) -> list[str]:
+def _required_fields(cls: type[msgspec.Struct]) -> list[str]:
     return [field.name for field in msgspec.structs.fields(cls) if field.required]
 
 
@@ -396,6 +396,8 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
         )
     texts = {}
     for number, text in value.items():
+        if len(number) > MAX_NUMBER:
+            raise ProfileError(file, key, f"a key of more than {MAX_NUMBER} digits")
         try:
             parsed = int(number, 0)
         except ValueError:

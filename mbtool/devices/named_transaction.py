@@ -28,7 +28,7 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
     """True if a request with function 17H writes the value.
 
     False for all other functions: they do not read and write in one request, so the function tells
-    if a value is read or written."""
+    whether a value is read or written."""
 
 
 class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=True):

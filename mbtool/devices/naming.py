@@ -29,13 +29,13 @@ from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_checks import (
     Ranges,
-    data_finding,
-    exception_finding,
+    data_finding_code,
+    exception_finding_code,
     fixed_data,
     has_other_data,
     request_findings,
-    unit_finding,
-    value_finding,
+    unit_finding_code,
+    value_finding_code,
     value_ranges,
     values_outside,
     written_by_17h,
@@ -223,8 +223,18 @@ class _Vocabulary:
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)
         points = self._points_of(meaning, transaction)
-        findings = self._findings(meaning, transaction, points)
-        return self._named_transaction(transaction, meaning, points, findings)
+        fields = msgspec.structs.asdict(transaction)
+        if meaning.function_name is not None:
+            fields["function_name"] = meaning.function_name
+        if transaction.exception is not None and self.profile is not None:
+            fields["exception_name"] = self.profile.exception_name(transaction.exception)
+        fields["device"] = self._device
+        fields["reference"] = meaning.reference
+        fields["points"] = points
+        fields["findings"] = self._findings(meaning, transaction, points)
+        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
+            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
+        return NamedTransaction(**fields)
 
     def as_kind(self, named: NamedTransaction) -> NamedTransaction:
         """See Namer.as_kind."""
@@ -241,29 +251,6 @@ class _Vocabulary:
             named, reference=meaning.reference, points=[], findings=findings
         )
 
-    def _named_transaction(
-        self,
-        transaction: Transaction,
-        meaning: _Meaning,
-        points: list[PointValue],
-        findings: list[str],
-    ) -> NamedTransaction:
-        function_name, exception_name = transaction.function_name, transaction.exception_name
-        if meaning.function_name is not None:
-            function_name = meaning.function_name
-        if transaction.exception is not None and self.profile is not None:
-            exception_name = self.profile.exception_name(transaction.exception)
-        fields = msgspec.structs.asdict(transaction)
-        fields["function_name"] = function_name
-        fields["exception_name"] = exception_name
-        fields["device"] = self._device
-        fields["reference"] = meaning.reference
-        fields["points"] = points
-        fields["findings"] = findings
-        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
-            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
-        return NamedTransaction(**fields)
-
     def _findings(
         self, meaning: _Meaning, transaction: Transaction, points: list[PointValue]
     ) -> list[str]:
@@ -277,15 +264,15 @@ class _Vocabulary:
         findings += form_codes(transaction)
         profile = self._rules
         if transaction.unit > self._last_unit and transaction.transport.is_serial:
-            findings.append(unit_finding(profile, transaction.unit))
+            findings.append(unit_finding_code(profile, transaction.unit))
         if profile is not None:
             fixed = self._fixed_data.get(transaction.function)
             if fixed is not None and has_request and has_other_data(transaction, fixed):
-                findings.append(data_finding(profile, transaction.function))
+                findings.append(data_finding_code(profile, transaction.function))
             if transaction.response_raw is not None:
                 findings += response_findings(profile, transaction, findings)
             if transaction.exception is not None:
-                undocumented = exception_finding(
+                undocumented = exception_finding_code(
                     profile, transaction.function, transaction.exception
                 )
                 findings += [undocumented] if undocumented is not None else []
@@ -294,7 +281,7 @@ class _Vocabulary:
                 if transaction.function == READ_WRITE_REGISTERS:
                     written = [point for point in points if point.written]
                 if values_outside(self._ranges, written):
-                    findings.append(value_finding(profile, transaction.function))
+                    findings.append(value_finding_code(profile, transaction.function))
         return findings
 
     def _compile(self, profile: Profile) -> None:

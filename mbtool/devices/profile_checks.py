@@ -107,7 +107,7 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
         yield f"{prefix}-{letter}{function}"
 
 
-def exception_finding(profile: Profile, function: int, exception: int) -> str | None:
+def exception_finding_code(profile: Profile, function: int, exception: int) -> str | None:
     """Return the finding code if the device's manual does not list the exception code `exception`
     for a function; None if it lists it.
     """
@@ -133,7 +133,7 @@ def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointVa
     return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
 
 
-def value_finding(profile: Profile, function: int) -> str:
+def value_finding_code(profile: Profile, function: int) -> str:
     """Return the finding code for a value that a request with this function writes, outside the
     range in the manual.
     """
@@ -166,7 +166,7 @@ def request_data(transaction: Transaction) -> bytes | None:
     return None if pdu is None else pdu[1:]
 
 
-def data_finding(profile: Profile, function: int) -> str:
+def data_finding_code(profile: Profile, function: int) -> str:
     """Return the finding code for a request whose bytes after the function code differ from those
     that the manual fixes.
     """
@@ -191,7 +191,7 @@ def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
     return transaction.write_address, quantity
 
 
-def unit_finding(profile: Profile | None, unit: int) -> str:
+def unit_finding_code(profile: Profile | None, unit: int) -> str:
     """Return the finding code for a unit number that a slave with this profile cannot have on a
     serial line. If `profile` is None, the code is that of the standard's rule.
     """

@@ -98,7 +98,7 @@ class ProfileMatch:
     def rank(self) -> tuple[bool, bool, float]:
         """The quality of the match, for comparison: `is_model`, `has_name` and `share`.
 
-        Of two matches, the one with the greater rank is better; equal ranks are a tie.
+        The better of two matches has the greater rank; equal ranks are a tie.
         """
         return self.is_model, self.has_name, self.share
 

@@ -81,10 +81,10 @@ class MatchCounts(NamedTuple):
     """The numbers of different requests to a slave by how they ended, compared with a profile."""
 
     explained: int
-    """Those that ended as the profile predicts."""
+    """The number of requests that ended as the profile predicts."""
     contradicted: int
     refused: int
-    """Those of `explained` that the slave refused."""
+    """The number of requests in `explained` that the slave refused."""
 
 
 class _Group(NamedTuple):
@@ -238,7 +238,7 @@ class _Limit(NamedTuple):
     """The greatest quantity of a function by a profile, with the reasons in words."""
 
     most: int
-    """The largest quantity that it takes; 0 if the device does not have the function."""
+    """The largest quantity that the device takes; 0 if the device does not have the function."""
     text: str
     """The sentence that the device has the function, or has not."""
     text_beyond: str

@@ -24,11 +24,12 @@ class TransactionField(NamedTuple):
 
     name: str
     type: inspect.Type
-    """Its type, without None."""
+    """The type of the field, without None."""
     text: str
     """The description of the field for JSON schemas and docs."""
     places: dict[str, int | None]
-    """Its places among the columns of CSV (`csv`) and Parquet (`table`); None if it comes last."""
+    """The places of the field among the columns of CSV (`csv`) and Parquet (`table`); None if it
+    comes last."""
     bits: int
     """The size in Parquet of a number that has no greatest value."""
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _REFUSALS = (2, 3, 4)
 """The exception codes by which a slave refuses a range of addresses."""
-_WAITS = 3.0
+_MIN_PAUSE_RATIO = 3.0
 """A master is said to wait between its cycles if the pause before a cycle is longer than this many
 times the median pause between the requests of the cycle, and longer than _LEAST_WAIT_NS."""
 _LEAST_WAIT_NS = 5_000_000
@@ -38,7 +38,7 @@ _BAUDS = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
 """The baud rates for which a shorter cycle is forecast, if they are above the line's own."""
 _MOST_BAUDS = 2
 """A forecast names at most this many higher baud rates."""
-_SURE = 2.5
+_MIN_STANDARD_ERRORS = 2.5
 """The measured time for each further register is used if it exceeds the time of its bytes on the
 line by more than this many standard errors; else the difference may be chance."""
 
@@ -63,7 +63,7 @@ class CycleAdvice:
 
     merged: tuple[MergedRead, ...]
     requests: int
-    """The number of requests of a cycle as it is."""
+    """The number of requests in a cycle before any change."""
     requests_then: int
     busy_ns: int
     """The time from the first request of a cycle to the last response."""
@@ -72,7 +72,8 @@ class CycleAdvice:
     wait_ns: int
     """The time from the last response of a cycle to the first request of the next."""
     waits: bool
-    """True if the master waits between cycles, so that the cycle may stay as long as it is."""
+    """True if the master waits between cycles: a shorter cycle would then only make the wait
+    longer."""
 
     @property
     def cycle_then_ns(self) -> int:
@@ -177,7 +178,7 @@ def _pause_and_busy(one: PollList[PollStatistics]) -> tuple[int, int]:
 
 
 def _is_waiting(one: PollList[PollStatistics], pause_ns: int) -> bool:
-    return one.steps[0].pause_ns > max(_WAITS * pause_ns, _LEAST_WAIT_NS)
+    return one.steps[0].pause_ns > max(_MIN_PAUSE_RATIO * pause_ns, _LEAST_WAIT_NS)
 
 
 def advise(
@@ -210,7 +211,7 @@ def advise(
             if len(run) > 1:
                 span = _span(run)
                 before = sum(step.took_ns for step in run)
-                saved_ns += before - _predicted(steps, len(span), character_ns)
+                saved_ns += before - _predicted_time_ns(steps, len(span), character_ns)
                 saved += len(run) - 1
                 merged.append(
                     MergedRead(
@@ -300,7 +301,7 @@ def _span(run: Sequence[PollStep[PollStatistics]]) -> range:
     return range(min(each.start for each in ranges), max(each.stop for each in ranges))
 
 
-def _predicted(
+def _predicted_time_ns(
     steps: Sequence[PollStep[PollStatistics]], quantity: int, character_ns: float | None
 ) -> int:
     """The time (ns) that a read of this quantity would take, by those of other quantities."""
@@ -316,7 +317,8 @@ def _predicted(
 def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
     """Return the time (ns) that one register or bit more takes, by least squares.
 
-    Return `least` if the result is smaller, or exceeds it by at most _SURE standard errors.
+    Return `least` if the result is smaller, or exceeds it by at most _MIN_STANDARD_ERRORS standard
+    errors.
     """
     counts = [count for count, _ in points]
     if len(points) < 3 or len(set(counts)) < 2:
@@ -326,4 +328,4 @@ def _time_of_one(points: Sequence[tuple[int, int]], least: float) -> float:
     middle = mean(counts)
     width = sum((count - middle) ** 2 for count in counts)
     error = math.sqrt(rest / (len(points) - 2) / width)
-    return slope if slope - least > _SURE * error else least
+    return slope if slope - least > _MIN_STANDARD_ERRORS * error else least

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.ledger.inventory_ranges import joined, listed, ranges_text, without
+from mbtool.ledger.inventory_ranges import joined_ranges, listed, ranges_text, without
 from mbtool.ledger.inventory_rows import Role, shown_host
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import RUN_INDICATOR
@@ -60,8 +60,8 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     unit: int | None = None
     text: str
     first_ns: int | None = None
-    """The time, in UTC ns, at which the newer capture first shows the unit, host or master of this
-    change; None if it does not show it."""
+    """The time (UTC ns) at which the newer capture first shows the unit, host or master of this
+    change; None if the newer capture lacks it."""
 
     @property
     def where(self) -> str:
@@ -219,8 +219,8 @@ def _requested_text(row: SlaveRow, master: str, kind: ChangeKind) -> str:
 def _wider(mine: Sequence[FunctionUse], theirs: Sequence[FunctionUse]) -> Iterator[str]:
     for writes in (False, True):
         uses = [use for use in mine if use.writes is writes]
-        old = joined(use.all_ranges for use in theirs if use.writes is writes)
-        more = without(joined(use.all_ranges for use in uses), old)
+        old = joined_ranges(use.all_ranges for use in theirs if use.writes is writes)
+        more = without(joined_ranges(use.all_ranges for use in uses), old)
         if more:
             masters = [use.master for use in uses if use.master and without(use.all_ranges, old)]
             by = f" by {listed(masters)}" if masters else ""

@@ -27,7 +27,7 @@ _STEPS = (1, 2, 5)
 _MICROSECOND = 1000
 PERCENTILES = (50, 95, 99)
 """The percentiles of latencies that statistics, the report and the metrics show."""
-_FAR = 1.5
+_MAX_TAIL_RATIO = 1.5
 """Bars end at the greatest duration if it is at most this many times the 99th percentile, else at
 the 99th percentile."""
 
@@ -159,7 +159,7 @@ class Distribution:
         if not self.count:
             return [], 0
         end = self.percentile(99)
-        end = self.greatest if self.greatest <= _FAR * end else end
+        end = self.greatest if self.greatest <= _MAX_TAIL_RATIO * end else end
         width = _nice_width((end - self.least) / most)
         first, last = self.least // width, end // width
         counts: dict[int, int] = {}

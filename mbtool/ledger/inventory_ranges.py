@@ -64,7 +64,7 @@ class AddressRanges:
         return list(zip(self._firsts, self._lasts, strict=True))
 
 
-def joined(several: Iterable[Sequence[AddressRange]]) -> list[AddressRange]:
+def joined_ranges(several: Iterable[Sequence[AddressRange]]) -> list[AddressRange]:
     """The addresses that are in at least one of several sets, as one sorted list of ranges."""
     return AddressRanges(pair for ranges in several for pair in ranges).pairs
 

@@ -11,7 +11,7 @@ from enum import StrEnum
 import msgspec
 
 from mbtool.core.limits import MODBUS_PORT
-from mbtool.ledger.inventory_ranges import AddressRange, joined
+from mbtool.ledger.inventory_ranges import AddressRange, joined_ranges
 
 INVENTORY_FORMAT = "mbtool-inventory-1"
 
@@ -50,10 +50,10 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     refused: list[AddressRange] = []
     """The addresses in requests that were answered with an exception, without those in `ranges`."""
     references: list[str] = []
-    """Each of `ranges` in the notation of the unit's profile; "" for one that it has no notation
-    for. The list is empty if nobody named the unit's profile."""
+    """Each of `ranges` in the notation of the unit's profile; "" for a range without such a
+    notation. The list is empty if the unit has no profile."""
     refused_references: list[str] = []
-    """Each of `refused` in that notation; the list is empty in the same case."""
+    """Each of `refused` in the notation of the unit's profile, as in `references`."""
     unsupported: int = 0
     """The number of requests that were answered with exception code 01, illegal function."""
     left_out: int = 0
@@ -62,7 +62,7 @@ class FunctionUse(msgspec.Struct, kw_only=True):
 
     @property
     def all_ranges(self) -> list[AddressRange]:
-        return joined((self.ranges, self.refused))
+        return joined_ranges((self.ranges, self.refused))
 
 
 class IdentityText(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,7 +106,7 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     transports: list[str] = []
     device: str | None = None
     """The name of the profile that the user, or the log that was read, assigned to the unit; None
-    if nobody did."""
+    without such an assignment."""
     macs: list[str] = []
     makers: list[str] = []
     identity: list[IdentityText] = []
@@ -119,8 +119,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     unanswered: int = 0
     """The number of requests that got no response, or only a gateway's exception response."""
     unreached: int = 0
-    """Those of `unanswered` that a gateway answered with an exception, because it could not reach
-    the unit."""
+    """The number of requests in `unanswered` that a gateway answered with an exception, because it
+    could not reach the unit."""
     exceptions: dict[int, int] = {}
     """The number of exception responses, by exception code. Exceptions of a gateway are among
     them."""

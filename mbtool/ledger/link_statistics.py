@@ -22,9 +22,9 @@ class LinkStatistics:
     def __init__(self, format_of: Callable[[str], SerialFormat | None], bins: Row) -> None:
         self._format_of = format_of
         self.bins = bins
-        """Its counts over time, by LinkSum."""
+        """The counts of the link over time, by LinkSum."""
         self.transport: Transport | None = None
-        """The transport of its last capture; None if there was no transaction."""
+        """The transport of the link's last capture; None if the link had no transaction."""
         self.format: SerialFormat | None = None
         """The baud rate and character format of a serial line; None on a network, and if the bytes
         have no times."""

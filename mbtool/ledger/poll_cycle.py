@@ -19,8 +19,8 @@
 #    equal, and start again at 1 with the requests of each group. A poll without a regular period
 #    that comes equally often in each cycle of a group belongs to that group, too.
 # 4. If there are no such groups, start again at 1 with only the polls that are sent often. If all
-#    polls are sent often, take a cycle that explains at least MANY, and search for lists in the
-#    remaining requests.
+#    polls are sent often, take a cycle that explains at least MIN_CYCLE_SHARE, and search for lists
+#    in the remaining requests.
 #
 # Memory: a few copies of the list of requests; the caller limits its length.
 
@@ -73,8 +73,8 @@ class PollStart(NamedTuple, Generic[P]):
     begin_ns: int
     end_ns: int
     is_missing: bool
-    """True if the first attempt got no answer. If the last attempt got none either, `end_ns` is the
-    time when the master stopped waiting."""
+    """True if the first attempt got no answer. If all attempts got no answer, `end_ns` is the time
+    when the master stopped waiting."""
 
 
 class CutCycles(NamedTuple, Generic[P]):
@@ -109,7 +109,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
     tried = [
         cycles
         for (_, poll), at in recurring[:_TRANSITIONS]
-        if (cycles := _cut(starts, poll, at)) is not None
+        if (cycles := _cut_cycles(starts, poll, at)) is not None
     ]
     if not tried:
         return None
@@ -118,7 +118,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
     return _well_begun(min(tied, key=lambda one: (len(one.usual), -one.share)), places)
 
 
-def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
+def _cut_cycles(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
     """Cut the requests `starts` before each index in `places`; each cycle then begins with the poll
     `first`.
 
@@ -151,7 +151,7 @@ def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -
     first = pauses.index(max(pauses))
     if _is_one_pace(pauses, cycles):
         first = usual.index(cycles.starts[0].poll) if cycles.starts[0].poll in usual else 0
-    begun = _cut(cycles.starts, usual[first], places[usual[first - 1], usual[first]])
+    begun = _cut_cycles(cycles.starts, usual[first], places[usual[first - 1], usual[first]])
     is_same = begun is not None and begun.usual == usual[first:] + usual[:first]
     return begun if begun is not None and is_same else cycles
 
@@ -167,7 +167,7 @@ def step_pauses(cycles: CutCycles[P]) -> list[float]:
     before it and the beginning of its request.
     """
     pauses = [after.begin_ns - before.end_ns for before, after in pairwise(cycles.starts)]
-    usual = [begin for (begin, _), is_usual in _marked(cycles) if is_usual]
+    usual = [begin for (begin, _), is_usual in _cycle_marks(cycles) if is_usual]
     found = []
     for step in range(len(cycles.usual)):
         # The pause before the first request of the capture is unknown.
@@ -176,7 +176,7 @@ def step_pauses(cycles: CutCycles[P]) -> list[float]:
     return found
 
 
-def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
+def _cycle_marks(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
     """For each cycle, a pair: the indices in `cycles.starts` at which it begins and ends (the end
     not included), and True if its polls are exactly those of the usual cycle.
     """
@@ -204,7 +204,7 @@ def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
     """
     whole: list[int] = []
     missing: list[int] = []
-    for (begin, end), is_usual in _marked(cycles):
+    for (begin, end), is_usual in _cycle_marks(cycles):
         if is_usual and end < len(cycles.starts):
             time = cycles.starts[end].begin_ns - cycles.starts[begin].begin_ns
             is_missing = any(one.is_missing for one in cycles.starts[begin:end])
@@ -216,13 +216,13 @@ def number_of_other_cycles(cycles: CutCycles[P]) -> int:
     """The number of cycles that are not exactly the usual one. The last cycle is left out, as the
     capture may end before the cycle does.
     """
-    return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])
+    return sum(not is_usual for _, is_usual in _cycle_marks(cycles)[:-1])
 
 
 MOST = 0.9
 """If at least this share (0 to 1) of the requests is in equal cycles, the cycles are accepted, and
 the polls are not grouped in another way."""
-MANY = 0.4
+MIN_CYCLE_SHARE = 0.4
 """If the polls cannot be grouped, a cycle is taken as a polled list only if at least this share (0
 to 1) of the requests is in equal cycles."""
 _REGULAR = 0.2
@@ -231,16 +231,16 @@ period by at most this share of the median."""
 _REGULAR_SHARE = 0.7
 """A poll is regular if at least this share (0 to 1) of its periods are. If two different periods
 alternate, only half of them are, so the poll is not regular."""
-_PERIOD_SUM = 1.3
+_MAX_MEAN_TO_MEDIAN = 1.3
 """A poll is regular only if its mean period is at most this many times its median period. If a poll
 comes several times in a cycle, close together, its median period is short, and this excludes it."""
-_SOON = 0.5
+_RETRY_WITHIN = 0.5
 """A request equal to an unanswered one before it is a retry if it begins at most this share of the
 timeout after the master has stopped waiting. If it begins later, it belongs to the next cycle of a
 list of one poll."""
 _EQUAL_PERIODS = 1.08
 """Regular polls belong to one group if their periods differ by at most this factor."""
-_EVEN = 0.1
+_DISTANCE_TOLERANCE = 0.1
 """A poll comes at even distances in a cycle if the times from one of its requests to the next
 differ by at most this share of their mean."""
 _LONG_PAUSE = 0.2
@@ -255,7 +255,7 @@ share (0 to 1) of the list's cycles."""
 _SLACK_NS = 5_000_000
 """Pauses of a master that differ by less than this (ns) count as equal, as masters do not keep time
 more exactly."""
-_NEAR = 0.25
+_DURATION_TOLERANCE = 0.25
 """The duration of a cycle is near the median if it differs from it by at most this share of the
 median."""
 
@@ -321,7 +321,7 @@ class PollList(Generic[P]):
         at most 25 % from their median.
         """
         middle = median_low(self.times)
-        near = [time for time in self.times if abs(time - middle) <= _NEAR * middle]
+        near = [time for time in self.times if abs(time - middle) <= _DURATION_TOLERANCE * middle]
         return sum(near) // len(near)
 
     @property
@@ -400,7 +400,7 @@ def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[Pol
         end_ns = one.end_ns + (timeout_ns if is_waited_for else 0)
         # After a damaged response, a master repeats the request at once, or when the timeout is
         # over.
-        soon_ns = (_SOON + was_damaged) * timeout_ns
+        soon_ns = (_RETRY_WITHIN + was_damaged) * timeout_ns
         is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= soon_ns
         if was_missing and is_soon and starts[-1].poll == one.poll:
             starts[-1] = starts[-1]._replace(end_ns=end_ns)
@@ -431,7 +431,7 @@ def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
     often = _asked_often(starts)
     if len(often) < len({start.poll for start in starts}):
         return _lists(_only(starts, often))
-    return _with_others(cycles) if cycles is not None and cycles.share >= MANY else []
+    return _with_others(cycles) if cycles is not None and cycles.share >= MIN_CYCLE_SHARE else []
 
 
 def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
@@ -488,7 +488,7 @@ def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
         by_place[at % len(by_place)].append(other - one)
     distances = [median(one) for one in by_place if one]
     mean = sum(distances) / len(distances)
-    return max(distances) - min(distances) <= _EVEN * mean
+    return max(distances) - min(distances) <= _DISTANCE_TOLERANCE * mean
 
 
 def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
@@ -532,7 +532,7 @@ def _regular_period(times: Sequence[int]) -> float | None:
     is_regular = (
         usual > 0
         and len(near) >= _REGULAR_SHARE * len(periods)
-        and sum(periods) <= _PERIOD_SUM * usual * len(periods)
+        and sum(periods) <= _MAX_MEAN_TO_MEDIAN * usual * len(periods)
     )
     return usual if is_regular else None
 

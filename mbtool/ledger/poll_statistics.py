@@ -31,17 +31,18 @@ _STEADY = 8
 """If a poll without a usual period comes this many times at equal distances and gets no response,
 its requests are polls and no retries."""
 GIVEN_UP = RequestTally()
-"""Shared by all polls that were given up, as there may be many; it stays empty."""
+"""The tally of each poll whose own tally was given up, to save memory: many polls share this one
+object. It stays empty."""
 
 
 class RetryChange(NamedTuple):
-    """The times (UTC ns) of the requests of a poll that a new request shows to be retries, or to be
-    none.
+    """The times (UTC ns) of the requests of a poll that count as retries, or no longer count as
+    retries, because of a new request.
     """
 
     found: Sequence[int] = ()
     withdrawn: Sequence[int] = ()
-    """Requests that were found to be retries before, but are none."""
+    """Requests that counted as retries before and do not count as retries any more."""
 
 
 class PollKey(NamedTuple):
@@ -119,7 +120,7 @@ class PollStatistics:
         self._last_ns: int | None = None
         """The time (UTC ns) of the last request that is no retry."""
         self._asked_ns = 0
-        """The time (UTC ns) of the last request, be it a retry or not; 0 if `_last_ns` is None."""
+        """The time (UTC ns) of the last request or retry; 0 if `_last_ns` is None."""
         self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""

@@ -37,8 +37,9 @@ class RequestOrder:
     """
 
     def __init__(self, on_retry: Callable[[PollStatistics, int, int], None] | None) -> None:
-        """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if
-        a request that was reported as a retry is none. None if nobody asks for retries.
+        """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if a
+        request that was reported as a retry turns out to be no retry. None if nobody asks for
+        retries.
         """
         self._on_retry = on_retry
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()

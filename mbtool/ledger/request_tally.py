@@ -57,8 +57,8 @@ class RequestTally:
         self.unsolicited_exceptions = 0
         """The number of exception responses without a request; these are not in `exceptions`."""
         self.ambiguous = 0
-        """The number of transactions that are ambiguous: the recording does not decide what they
-        are. They are in the other counts as what they most likely are."""
+        """The number of ambiguous transactions: the recording does not decide what they are. The
+        other counts have them as what they most likely are."""
         self.ambiguously_unanswered = 0
         """The number of ambiguous transactions with no response, perhaps because the request was
         itself a response."""

@@ -30,7 +30,7 @@ class FunctionReport:
     """The counts of all requests to one unit with one function code."""
 
     unit: int
-    """The unit, or OTHER_UNITS for those that are counted together."""
+    """The unit, or OTHER_UNITS for all units that are counted together."""
     device: str | None
     function: int
     function_name: str

@@ -24,8 +24,7 @@ MAX_HOURS = 768
 """A row whose bins are an hour wide or wider has at most this many bins: 32 days of hours. Beyond
 it, its bins become wider."""
 MAX_CELLS = 1 << 20
-"""All rows together have at most this many bins; beyond it, the most bins of each row are
-halved."""
+"""If all rows together have more bins than this, the limit of bins of each row is halved."""
 _MS = 1_000_000
 _S = 1000 * _MS
 HOUR_NS = 3600 * _S
@@ -99,7 +98,7 @@ class UnitBin(NamedTuple):
     asked: int
     answered: int
     latency_ns: int
-    """The sum of the latencies of those that were answered."""
+    """The sum of the latencies (ns) of the answered requests."""
 
 
 class TimeBins:
@@ -107,7 +106,8 @@ class TimeBins:
 
     def __init__(self) -> None:
         self.share = 1
-        """Each row may have the greatest number of bins, divided by this."""
+        """The greatest number of bins of a row is divided by this number, because there are many
+        rows."""
         self.cells = 0
         """The number of bins of all rows."""
         self._rows: list[Row] = []

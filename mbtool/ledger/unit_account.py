@@ -64,28 +64,29 @@ class UnitAccount:
     def __init__(self, key: UnitKey, first: NamedTransaction, bins: Row) -> None:
         self.key = key
         self.bins = bins
-        """Its requests over time, by UnitSum."""
+        """The requests of the unit over time, by UnitSum."""
         self.destination = first.destination
         """The host and port of the slave; None on a serial line."""
         self.transports: set[str] = set()
         self.device: str | None = None
-        """The name of the profile of the unit; None if it has none."""
+        """The name of the unit's profile; None if it has no profile."""
         self.macs: list[str] = []
         self.identity: dict[tuple[int, str], list[str]] = {}
         """The texts with which the unit identifies itself, by function code and name."""
         self.observed: ObservedSlave | None = None
-        """Its requests and responses, to compare it with profiles; None if it never answered."""
+        """The unit's requests and responses, to compare them with profiles; None if the unit never
+        answered."""
         self.first_ns = self.last_ns = first.start_ns
         self.answered_ns = _NEVER_NS
-        """The time of the last response to a request; a time before all others if there was
-        none."""
+        """The time (UTC ns) of the last response to a request; a time before all others without any
+        response."""
         self.ok_ns = 0
         """The time of the last response that is no exception; 0 if there was none."""
         self.silent = 0
         """The number of requests since `silent_since_ns` that were not answered."""
         self.silent_since_ns = _NEVER_NS
-        """The time of the first unanswered request after an answered one. The unit is silent until
-        now if that is later than `answered_ns`."""
+        """The time (UTC ns) of the first unanswered request after an answered one. If it is later
+        than `answered_ns`, the unit is still silent."""
         self.missing: FailureSpan | None = None
         """The requests without an answer, or whose answer had a wrong CRC or LRC."""
         self.refused: FailureSpan | None = None
@@ -152,7 +153,7 @@ class UseAccount:
         self.name = name
         self.unit = unit
         self.master = master
-        """None on a serial line, and if there are too many masters."""
+        """The master; None on a serial line, and if there are too many masters."""
         self.tally = RequestTally()
         """The counts of transactions that have no poll: responses without a request, and all
         transactions of polls that were given up because there were too many."""

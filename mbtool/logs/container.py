@@ -28,7 +28,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode, footer, packed
+from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode, footer, pack_records
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -99,7 +99,7 @@ class Container:
                 data=schema.data,
             )
             self._schemas[schema.name] = known
-            self._chunk += packed(known)
+            self._chunk += pack_records(known)
         channel = Channel(
             id=len(self._channels) + 1,
             topic=name,
@@ -108,7 +108,7 @@ class Container:
             schema_id=known.id,
         )
         self._channels.append(channel)
-        self._chunk += packed(channel)
+        self._chunk += pack_records(channel)
         topic = Topic(channel.id)
         self._topics.append(topic)
         return topic
@@ -133,7 +133,7 @@ class Container:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         self._seal()
-        record = packed(Metadata(name=name, metadata=dict(values)))
+        record = pack_records(Metadata(name=name, metadata=dict(values)))
         self._metadata.append(
             MetadataIndex(offset=self._next_offset, length=len(record), name=name)
         )
@@ -141,7 +141,7 @@ class Container:
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         self._seal()
-        record = packed(
+        record = pack_records(
             Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         )
         self._attachments.append(
@@ -186,7 +186,7 @@ class Container:
         compressor = self._compressor if len(content) > SMALL else self._thorough
         data = compressor.compress(content)
         offset = self._next_offset
-        record = packed(
+        record = pack_records(
             Chunk(
                 compression="zstd",
                 data=data,
@@ -199,7 +199,7 @@ class Container:
         self._sealed += record
         indexes_at = self._next_offset
         index_offsets = self._seal_indexes()
-        self._chunk_indexes += packed(
+        self._chunk_indexes += pack_records(
             ChunkIndex(
                 chunk_start_offset=offset,
                 chunk_length=len(record),
@@ -229,12 +229,12 @@ class Container:
 
     def _summary(self, start: int) -> tuple[bytes, bytes]:
         groups = (
-            (Opcode.SCHEMA, packed(*self._schemas.values())),
-            (Opcode.CHANNEL, packed(*self._channels)),
-            (Opcode.STATISTICS, packed(self._statistics())),
+            (Opcode.SCHEMA, pack_records(*self._schemas.values())),
+            (Opcode.CHANNEL, pack_records(*self._channels)),
+            (Opcode.STATISTICS, pack_records(self._statistics())),
             (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
-            (Opcode.ATTACHMENT_INDEX, packed(*self._attachments)),
-            (Opcode.METADATA_INDEX, packed(*self._metadata)),
+            (Opcode.ATTACHMENT_INDEX, pack_records(*self._attachments)),
+            (Opcode.METADATA_INDEX, pack_records(*self._metadata)),
         )
         at = start
         offsets = []
@@ -242,7 +242,7 @@ class Container:
             if group:
                 offsets.append(SummaryOffset(opcode, at, len(group)))
                 at += len(group)
-        section = b"".join(group for _, group in groups) + packed(*offsets)
+        section = b"".join(group for _, group in groups) + pack_records(*offsets)
         # The CRC covers the summary, and the footer up to its CRC field.
         crc = zlib.crc32(section + footer(start, at)[: RECORD_HEAD.size + 16])
         return section, footer(start, at, crc)

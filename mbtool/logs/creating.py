@@ -39,7 +39,7 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
     except FileExistsError:
         raise _exists(path) from None
     except (OSError, ValueError) as error:
-        raise _uncreated(path, error) from error
+        raise _creation_error(path, error) from error
     file = open(descriptor, "wb", buffering=0)  # noqa: SIM115 - the caller closes it
     try:
         _lock(file, path)
@@ -47,7 +47,7 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
         sync_folder(target.parent)
     except OSError as error:
         file.close()
-        raise _uncreated(path, error) from error
+        raise _creation_error(path, error) from error
     except OutputError:
         file.close()
         raise
@@ -64,14 +64,14 @@ def check_path(path: Path, *, replace: bool = False) -> None:
     except FileNotFoundError as error:
         folder = Path(os.path.realpath(path)).parent
         if not folder.is_dir():
-            raise _uncreated(path, error) from error
+            raise _creation_error(path, error) from error
         if not os.access(folder, os.W_OK):
-            raise _uncreated(
+            raise _creation_error(
                 path, PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             ) from None
         return
     except (OSError, ValueError) as error:
-        raise _uncreated(path, error) from error
+        raise _creation_error(path, error) from error
     if stat.S_ISDIR(mode):
         raise UsageError(f"{path}: a directory; name a file in it, for example {path / 'x.mcap'}")
     if not stat.S_ISREG(mode):
@@ -117,5 +117,5 @@ def _exists(path: Path) -> UsageError:
     )
 
 
-def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
+def _creation_error(path: Path, error: OSError | ValueError) -> UsageError:
     return UsageError(f"{path}: cannot be created: {reason_unwritten(path, error)}")

@@ -57,7 +57,7 @@ def is_joinable(chunk: Chunk) -> bool:
     return is_read and 0 <= chunk.ts_ns < MAX_TIME_NS
 
 
-def joined(reads: list[Chunk]) -> bytes:
+def pack_reads(reads: list[Chunk]) -> bytes:
     """Pack 1 to MAX_READS reads of one line into a message; each must satisfy `is_joinable`."""
     times = [read.ts_ns for read in reads]
     waits = [0, *(after - before for before, after in pairwise(times))]
@@ -76,7 +76,7 @@ def joined(reads: list[Chunk]) -> bytes:
     return message
 
 
-def separated(message: bytes) -> list[Chunk]:
+def unpack_reads(message: bytes) -> list[Chunk]:
     """Unpack the reads of a message, at least one.
 
     Raises ValueError if `joined` did not make the message.
@@ -86,11 +86,11 @@ def separated(message: bytes) -> list[Chunk]:
         raise ValueError("a field of joined reads is missing")
     ts_ns, unit_ns = numbers[_TS_NS], numbers[_UNIT_NS]
     link, data = texts[_LINK].decode(), texts[_DATA]
-    waits = _unpacked(texts[_WAITS])
+    waits = _unpack_varints(texts[_WAITS])
     if not waits:
         raise ValueError("joined reads without a read")
-    sizes = _unpacked(texts[_SIZES]) if _SIZES in texts else [1] * len(waits)
-    directions = _unpacked(texts[_SENDERS]) if _SENDERS in texts else [0] * len(waits)
+    sizes = _unpack_varints(texts[_SIZES]) if _SIZES in texts else [1] * len(waits)
+    directions = _unpack_varints(texts[_SENDERS]) if _SENDERS in texts else [0] * len(waits)
     if sum(sizes) != len(data) or max(directions, default=0) >= len(_DIRECTIONS):
         raise ValueError(f"reads of {sum(sizes)} bytes in all, and {len(data)} bytes")
     at = 0
@@ -109,14 +109,14 @@ def descriptor() -> bytes:
         _field(2, _field(1, direction.name) + _number(2, number))
         for direction, number in _NUMBERS.items()
     )
-    fields = b"".join(_field(2, _described(number)) for number in _FIELDS)
+    fields = b"".join(_field(2, _field_description(number)) for number in _FIELDS)
     enumeration = _field(4, _field(1, "Direction") + values)
     message = _field(4, _field(1, "Evidence") + fields + enumeration)
     file = _field(1, "mbtool/evidence.proto") + _field(2, "mbtool") + message
     return _field(1, file + _field(12, "proto3"))
 
 
-def _described(number: int) -> bytes:
+def _field_description(number: int) -> bytes:
     """The FieldDescriptorProto (protobuf's description) of the field with this number."""
     name, kind = _FIELDS[number]
     label = 3 if number in (_WAITS, _SIZES, _SENDERS) else 1  # 1 optional, 3 repeated
@@ -153,7 +153,7 @@ def _fields_of(message: bytes) -> tuple[dict[int, int], dict[int, bytes]]:
     return numbers, texts
 
 
-def _unpacked(packed: bytes) -> list[int]:
+def _unpack_varints(packed: bytes) -> list[int]:
     """Decode the varints of a packed field.
 
     Raises ValueError if there are more than MAX_READS, or if one is cut off.

@@ -127,7 +127,7 @@ class SoundRecords:
             if sound is not None:
                 self._take(_HEAD + len(record.content))
                 return sound
-        return self._healed(record) or self._passed_over(record) or self._search()
+        return self._corrected_record(record) or self._passed_over(record) or self._search()
 
     def search(self) -> Hole:
         """Skip to the next record that can be verified, and return the skipped bytes as a hole.
@@ -182,7 +182,7 @@ class SoundRecords:
         self._why = "an attachment whose CRC is wrong"
         return self._attachment_crc(0, length) is not False
 
-    def _healed(self, record: McapRecord | None) -> McapRecord | None:
+    def _corrected_record(self, record: McapRecord | None) -> McapRecord | None:
         """Return the record at the current position with its opcode or length corrected.
 
         `record` is that record as it was read; None if its length is too long for the file or for

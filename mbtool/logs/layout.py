@@ -53,7 +53,7 @@ MAX_RECORD = 64 << 20
 """The most bytes that a reader accepts in a record, and in an unpacked chunk."""
 
 
-def packed(*records: McapRecord) -> bytes:
+def pack_records(*records: McapRecord) -> bytes:
     """Encode MCAP records as bytes, one after the other."""
     builder = RecordBuilder()
     for record in records:
@@ -73,11 +73,11 @@ def footer(summary_start: int = 0, offsets_start: int = 0, crc: int = 0) -> byte
     `summary_start` and `offsets_start` are the file offsets of the summary and of the summary
     offset records in it; 0 means that there are none. `crc` is that of the summary; 0 means none.
     """
-    return packed(Footer(summary_start, offsets_start, crc)) + MAGIC
+    return pack_records(Footer(summary_start, offsets_start, crc)) + MAGIC
 
 
 def data_end(crc: int) -> bytes:
-    return packed(DataEnd(crc))
+    return pack_records(DataEnd(crc))
 
 
 DATA_END_SIZE = len(data_end(0))
@@ -109,5 +109,5 @@ __all__ = [
     "data_end",
     "empty_record",
     "footer",
-    "packed",
+    "pack_records",
 ]

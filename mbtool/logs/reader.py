@@ -40,7 +40,7 @@ from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage, ImpossibleItems
-from mbtool.logs.evidence_blocks import separated
+from mbtool.logs.evidence_blocks import unpack_reads
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import (
     EVIDENCE_ONLY,
@@ -83,10 +83,10 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 MIN_RECORDS = 1 << 18
-_COUNTED = 16
-"""A message with joined serial reads becomes many items, one for each read, which takes at least 2
-bytes of the message. So it counts as 1 plus its length in bytes divided by this number. A batch
-ends as soon as its messages count BATCH in all."""
+_BYTES_PER_COUNTED_ITEM = 16
+"""A message of joined serial reads becomes one item for each read, and a read takes at least 2
+bytes. In the size of a batch, such a message counts as 1 plus its length in bytes divided by this
+number. A batch ends as soon as its messages count BATCH in all."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
@@ -153,7 +153,7 @@ class MessageDecoder:
             batch = _Batch(record.offset)
             at = self._walk(data, at, wanted, batch)
             if batch.raw:
-                yield from self._decoded(batch)
+                yield from self._decode_batch(batch)
 
     def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
         """Collect up to BATCH messages of the wanted schemas into `batch`.
@@ -192,7 +192,9 @@ class MessageDecoder:
                 if schema in wanted:
                     if left == BATCH:
                         batch.begin_ns = log_ns
-                    left -= 1 if schema != schemas.EVIDENCE else 1 + length // _COUNTED
+                    left -= (
+                        1 if schema != schemas.EVIDENCE else 1 + length // _BYTES_PER_COUNTED_ITEM
+                    )
                     last_ns = log_ns
                     add(data[at + _DATA_AT : to])
                     add_schema(schema)
@@ -203,7 +205,7 @@ class MessageDecoder:
         self._walked = walked
         return at
 
-    def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:
+    def _decode_batch(self, batch: _Batch) -> Iterator[list[LogItem]]:
         """Decode a batch; yield its items in one list, or in several if a message is damaged.
 
         If items between the previous batch and this one are lost, a list with a GAP event comes
@@ -229,7 +231,7 @@ class MessageDecoder:
         order, raw = batch.order, batch.raw
         kinds = set(order)
         if kinds == {schemas.EVIDENCE}:
-            return _merged(self._decoded_alike(schemas.EVIDENCE, raw))
+            return _merge_evidence(self._decoded_alike(schemas.EVIDENCE, raw))
         if len(kinds) == 1:
             return self._decoded_alike(order[0], raw)
         found = {}
@@ -241,7 +243,7 @@ class MessageDecoder:
         items: list[LogItem] = []
         for is_evidence, run in groupby(order, _EVIDENCE.__contains__):
             some = [next(found[schema]) for schema in run]
-            items += _merged(some) if is_evidence else some
+            items += _merge_evidence(some) if is_evidence else some
         return items
 
     def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[Any]:
@@ -250,7 +252,7 @@ class MessageDecoder:
         Raises one of _NOT_DECODABLE if a message is damaged.
         """
         if schema == schemas.EVIDENCE:
-            return [separated(data) for data in raw]
+            return [unpack_reads(data) for data in raw]
         array = b"[" + b",".join(raw) + b"]"
         found: list[Any]
         if schema == schemas.CHUNK and _OF_A_PACKET not in array:
@@ -313,7 +315,7 @@ class MessageDecoder:
                 decoder.decode(data)
                 return schema
         with suppress(ValueError):
-            separated(data)
+            unpack_reads(data)
             return schemas.EVIDENCE
         return ""
 
@@ -323,12 +325,12 @@ class MessageDecoder:
 
 def _items_of(schema: str, data: bytes) -> list[LogItem]:
     if schema == schemas.EVIDENCE:
-        return [*separated(data)]
+        return [*unpack_reads(data)]
     message = _DECODERS[schema].decode(data)
     return [message if schema in _ARE_ITEMS else message.item()]
 
 
-def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
+def _merge_evidence(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
     """Return the captured chunks and packets of several messages in one list.
 
     An element of `evidence` is what one message holds: one item, or a list of serial reads. If the

@@ -28,7 +28,7 @@ from mbtool.logs.chunks import records_in
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
-from mbtool.logs.evidence_blocks import separated
+from mbtool.logs.evidence_blocks import unpack_reads
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import (
     DATA_END_SIZE,
@@ -40,7 +40,7 @@ from mbtool.logs.layout import (
     RECOVERED,
     Opcode,
     data_end,
-    packed,
+    pack_records,
 )
 from mbtool.logs.messages import EventMessage
 from mbtool.logs.records import McapRecord, RecordStream
@@ -115,7 +115,7 @@ class Recovery:
         self._report = report
         self._summary = read_summary(stream, name) or LogSummary()
         self._records = RecordStream(stream, name)
-        self._sound = SoundRecords(self._records, self._repaired)
+        self._sound = SoundRecords(self._records, self._note_damage)
         self._schemas = dict(self._summary.schemas)
         self._channels = dict(self._summary.channels)
         self._topics: dict[tuple[str, str], Topic] = {}
@@ -138,7 +138,7 @@ class Recovery:
         head = self._head()
         file = create_file(path, replace=replace)
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
-        target = CompleteFile(file, str(path), MAGIC + packed(header))
+        target = CompleteFile(file, str(path), MAGIC + pack_records(header))
         try:
             self._container = Container(target)
             for record in head:
@@ -156,7 +156,7 @@ class Recovery:
         Raises InputError if the first MAX_HEAD_RECORDS records do not show it.
         """
         if self._records.look(len(MAGIC)) != MAGIC:
-            self._repaired(self._records.damaged(0, "the first bytes of the file"))
+            self._note_damage(self._records.damaged(0, "the first bytes of the file"))
         self._records.take(min(len(MAGIC), len(self._records.look(len(MAGIC)))))
         head: list[McapRecord | Hole] = []
         while not self._ends and len(head) < MAX_HEAD_RECORDS:
@@ -280,7 +280,7 @@ class Recovery:
                     link = "" if name in _SHARED else message.link
                     return self._topic(topic_name(link, _KINDS[name]), schemas.schema_of(name))
         with suppress(ValueError):
-            kind = topic_name(separated(data)[0].link, "evidence")
+            kind = topic_name(unpack_reads(data)[0].link, "evidence")
             return self._topic(kind, schemas.schema_of(schemas.EVIDENCE))
         return None
 
@@ -292,7 +292,7 @@ class Recovery:
             self._topics[key] = self._container.add_topic(name, schema)
         return self._topics[key]
 
-    def _repaired(self, error: DamageError) -> None:
+    def _note_damage(self, error: DamageError) -> None:
         self.result.remark = self.result.remark or f"{error}; nothing is lost there"
 
     def _note_lost(self, hole: Hole) -> None:
@@ -303,7 +303,7 @@ class Recovery:
         if self._summary.messages is not None and not self._summary.has_record_in(
             hole.offset, hole.end
         ):
-            self._repaired(hole.error)
+            self._note_damage(hole.error)
             return
         if self._waiting is not None:
             hole = Hole(self._waiting.offset, hole.end, self._waiting.error)
@@ -343,7 +343,7 @@ class Recovery:
         is_whole = self._waiting is None and not self.result.losses
         if is_whole and int.from_bytes(record.content, "little") not in (0, self._sound.crc_before):
             what = "the CRC of the data section does not match"
-            self._repaired(self._records.damaged(record.offset, what))
+            self._note_damage(self._records.damaged(record.offset, what))
         try:
             check_end(self._records, self._begin)
         except InputError as error:

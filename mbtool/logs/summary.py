@@ -178,10 +178,10 @@ def _read(stream: BinaryIO, name: str) -> LogSummary | None:
         return None
     stream.seek(start)
     data = stream.read(size - len(MAGIC) - _CRC_SIZE - start)
-    return _parsed(data, name) if zlib.crc32(data) == crc else None
+    return _parse_summary(data, name) if zlib.crc32(data) == crc else None
 
 
-def _parsed(data: bytes, name: str) -> LogSummary:
+def _parse_summary(data: bytes, name: str) -> LogSummary:
     """Parse the bytes of a summary, up to the footer; `name` is the file's, for error messages.
 
     Raises DamageError if a record is too short for its fields.

@@ -6,8 +6,8 @@
 #
 # A log that was not closed, because its recorder was killed or is still writing, may lack the
 # decoded records of its last moments without a mark: the recorder writes a mark only when its
-# decoder is later than BEHIND_NS. If such a log is small, it is read to see if any of its captured
-# bytes are later than its last decoded record.
+# decoder is later than BEHIND_NS. If such a log is small, it is read to see whether any of its
+# captured bytes are later than its last decoded record.
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from mbtool.logs.layout import (
 from mbtool.logs.reader import LogReader
 
 MAX_LOOKED_THROUGH = 16 << 20
-"""The largest size in bytes of a log that was not closed, up to which mbtool looks if its last
-bytes were decoded, and decodes them, which takes some seconds. For a larger log, a message tells
-the user how to do it."""
+"""The largest size, in bytes, of a log that was not closed and that mbtool searches for captured
+bytes without a decoded record, and then decodes; this takes some seconds. For a larger log, a
+message tells the user how to do it."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,10 +1,11 @@
 """Writes a log: captured bytes, what was decoded from them, and the metadata for reading both."""
 
-# Reads of serial lines are joined, because a message for each byte takes 40 times its space: all
-# reads of one line since the last flush become one message (evidence_blocks.py). Other items that
-# are written meanwhile are held back and follow the joined reads in the file: first other captured
-# data, then everything else. Apart from that, the file has the order of the calls. So if captured
-# bytes are written before they are decoded, they come before the transactions decoded from them.
+# Reads of serial lines are joined, because a message for each byte takes 40 times its space:
+# all reads of one line since the last flush become one message (evidence_blocks.py). Other items
+# that are written meanwhile are held back and follow the joined reads in the file: first other
+# captured data, then everything else. Apart from that, the file has the order of the calls. So if
+# captured bytes are written before they are decoded, they come before the transactions decoded from
+# them.
 #
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
@@ -34,7 +35,7 @@ from mbtool.logs import schemas
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
-from mbtool.logs.evidence_blocks import MAX_READS, is_joinable, joined
+from mbtool.logs.evidence_blocks import MAX_READS, is_joinable, pack_reads
 from mbtool.logs.layout import (
     CAPTURE,
     DECODING_TOPIC,
@@ -46,7 +47,7 @@ from mbtool.logs.layout import (
     PROFILE,
     PROFILE_MEDIA_TYPE,
     STATUS,
-    packed,
+    pack_records,
 )
 from mbtool.logs.messages import (
     ChunkMessage,
@@ -119,7 +120,7 @@ class LogWriter(ClosesOnExit):
         self, file: BinaryIO, capture: Mapping[str, str], make_room: Callable[[], bool]
     ) -> None:
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
-        self._file = CompleteFile(file, str(self._path), MAGIC + packed(header), make_room)
+        self._file = CompleteFile(file, str(self._path), MAGIC + pack_records(header), make_room)
         self._container = Container(self._file)
         self._reads: dict[str, list[Chunk]] = {}
         """The reads of serial lines since the last flush, by link name. They are not yet joined
@@ -284,7 +285,7 @@ class LogWriter(ClosesOnExit):
         for link, reads in found.items():
             topic = self._topic(link, "evidence", schemas.EVIDENCE)
             begin_ns = reads[0].ts_ns
-            self._container.add_message(topic, begin_ns, begin_ns, joined(reads))
+            self._container.add_message(topic, begin_ns, begin_ns, pack_reads(reads))
         for one in waiting:
             self._container.add_message(*one)
 

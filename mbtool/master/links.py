@@ -14,8 +14,8 @@
 # One thread sends and receives: it waits in `receive` until bytes come or the timeout is over.
 #
 # Memory: one incomplete ADU, and the numbers of pending and of lost requests, at most
-# MAX_OPEN_REQUESTS of each; the oldest is forgotten first. Of bytes that are no response, the last
-# MAX_UNREAD pieces since the last request are kept.
+# MAX_OPEN_REQUESTS of each; the oldest is forgotten first. The last MAX_UNREAD pieces of bytes that
+# belong to no response are kept until the next request.
 
 from __future__ import annotations
 
@@ -72,14 +72,15 @@ for them (Windows)."""
 LONGEST_TURN_NS = 60_000_000_000
 """A request that waits for a pause of another master fails after this time (ns)."""
 _LONGEST_LATER_TURN_NS = 180_000_000_000
-"""As LONGEST_TURN_NS, once a request was sent in a pause: then long pauses come, but a short one,
-such as before a request that the other master sent out of turn, may hide them for a while."""
+"""The limit in place of LONGEST_TURN_NS once a request was sent in a pause (ns). Pauses that are
+long enough are then known to come, but after a short pause, as before a request that the other
+master sent out of turn, it may take a while until one counts again."""
 _LISTEN_SLICE_NS = 20_000_000
 """The longest single read while listening before the first request, in ns."""
 SLICE_NS = 20_000_000
 """The longest single wait for a response, in ns."""
-MOST_TIMES = 3
-"""On a busy machine, the wait for a response takes at most this many times as long as it should."""
+MAX_WAIT_STRETCH = 3
+"""On a busy machine, the wait for a response takes at most this many times its set length."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -90,14 +91,14 @@ class Patience:
 
     A wait that takes longer than that, as this process got no processor, counts as SLICE_NS: the
     slave may be on the same machine, and what it sent meanwhile is read at the next look. So the
-    time may become longer, but at most MOST_TIMES as long.
+    time may become longer, but at most MAX_WAIT_STRETCH times as long.
     """
 
     def __init__(self, wait_ns: int, most_ns: int = SLICE_NS) -> None:
         """A single wait counts as `most_ns` at most."""
         self._wait_ns, self._most_ns = wait_ns, most_ns
         self._looked_ns = time.monotonic_ns()
-        self._end_ns = self._looked_ns + MOST_TIMES * wait_ns
+        self._end_ns = self._looked_ns + MAX_WAIT_STRETCH * wait_ns
         self._waited_ns = 0
 
     def next_ns(self) -> int:
@@ -372,7 +373,7 @@ class TcpMaster(MasterLink):
         return [
             response
             for event in [*rest, *self._splitter.feed(data, arrived_ns)]
-            if (response := self._matched(event)) is not None
+            if (response := self._match_response(event)) is not None
         ]
 
     def _report_failed(self, error: OSError) -> None:
@@ -409,7 +410,7 @@ class TcpMaster(MasterLink):
             self.socket.close()
             self.socket = None
 
-    def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
+    def _match_response(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):
             self._unread.append(event)
             return None
@@ -459,14 +460,14 @@ class TcpMaster(MasterLink):
         if not self._link.is_udp:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
-            connected = self._secured(connected, *self._tls)
+            connected = self._open_tls(connected, *self._tls)
         note_arrivals(connected)
         self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(
             Direction.RESPONSE, is_udp=self._link.is_udp
         )
         return connected
 
-    def _secured(
+    def _open_tls(
         self, connected: socket.socket, context: ssl.SSLContext, name: str
     ) -> socket.socket:
         """Return the connection after a TLS handshake. Raises LinkError if TLS fails."""
@@ -548,7 +549,7 @@ class SerialMaster(MasterLink):
             for event in events:
                 self._note_intrusion(event)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
-            responses = [self._matched(event) for event in events if isinstance(event, Adu)]
+            responses = [self._match_response(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0 and not data:
                 break
         return responses
@@ -735,7 +736,7 @@ class SerialMaster(MasterLink):
             time.sleep(min(wait_s, _POLL_S))
         return bool(self._port.in_waiting)
 
-    def _matched(self, adu: Adu) -> ReceivedResponse:
+    def _match_response(self, adu: Adu) -> ReceivedResponse:
         number, unit = self._pending if self._pending is not None else (-1, -1)
         is_other = self._other is not None and not (
             self._expected is not None and self._expected.fits(adu.pdu)

@@ -1,7 +1,8 @@
-"""Finds out if another master asks on a serial line, and when it pauses."""
+"""Finds out whether another master sends requests on a serial line, and when it pauses."""
 
-# Bytes go through the splitter of a line on which nothing is sent (serial_line); it finds out which
-# frames are requests. Each different request is a poll of the other master.
+# All bytes that were heard go through the same splitter (serial_line) as those of a line on which
+# mbtool only listens. The splitter finds out which frames are requests. Each different request is a
+# poll of the other master.
 #
 # After a response the other master leaves the line silent until its next request. The shortest of
 # the last MAX_PAUSES silences after a poll counts as its certain pause, once LEAST_SEEN were
@@ -44,7 +45,8 @@ from mbtool.serial_line import AsciiSplitter, RtuSplitter
 SILENT_LISTEN_NS = 1_000_000_000
 """A line on which nothing is heard for this long (ns) counts as free."""
 MOST_LISTEN_NS = 5_000_000_000
-"""Listening ends after this time (ns), if the polls heard are not all known before."""
+"""Listening ends after this time (ns), or sooner once the period and the pause of each poll are
+known."""
 LEAST_SEEN = 3
 """A request is sent in a pause of the other master only if this pause was heard at least this
 often."""
@@ -68,8 +70,8 @@ polls; then it counts as lost."""
 _STOPPED = 1.5
 """A poll is no longer waited for if it was not heard for this many times its longest period."""
 FEW_BYTES = 8
-"""Fewer bytes than this, without a frame with a correct CRC among them, are taken for noise and not
-for another master."""
+"""Fewer bytes than this count as noise, not as another master, if they have no frame with a correct
+CRC."""
 _NAMED = 3
 """An error names at most this many polls of the other master."""
 

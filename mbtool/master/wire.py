@@ -36,8 +36,8 @@ from mbtool.ports.host_names import why_failed
 
 _ASCII_END = b"\r\n"
 QUIET_NS = 300_000_000
-"""Bytes that must get no answer have got none if nothing comes for this time, in ns, and for
-QUIET_TIMES the longest time that an answer has taken."""
+"""Bytes that must get no answer count as unanswered if nothing comes for this time (ns), nor for
+QUIET_TIMES times the longest time that an answer has taken."""
 QUIET_TIMES = 2
 _LEAST_GAP_NS = 40_000_000
 """After a whole response on a serial line further bytes are awaited for at least this time, in ns:

@@ -89,8 +89,8 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
         return code in (self.code, self.code | EXCEPTION_BIT)
 
 
-# The code below decides if a response belongs to a request of the same unit, and says why it does
-# not.
+# The code below decides whether a response belongs to a request of the same unit, and says why it
+# does not.
 #
 # The fields of the two PDUs are compared: a field that a response repeats must be equal in both.
 # Decoders of a serial line use ExpectedResponse instead, which compares bytes and is stricter: each

@@ -1,6 +1,6 @@
 """Finds the registers or bits that a request reads and writes, and makes its response."""
 
-# Nothing here checks if a device has these addresses; only the caller knows the device.
+# Nothing here checks whether a device has these addresses; only the caller knows the device.
 
 from __future__ import annotations
 

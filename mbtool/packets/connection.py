@@ -416,7 +416,9 @@ class TcpConnection:
             self._report(sender, EventKind.OVERLAP, message, piece.ts_ns, piece.data)
 
     def _note_sent_again(self, sender: Stream, piece: HeldBytes) -> None:
-        """Report the first retransmission of a segment; a probe of one byte is none."""
+        """Report the first retransmission of a segment; a keep-alive probe of one byte does not
+        count.
+        """
         waited_ns = piece.ts_ns - sender.latest[1]
         is_new = sender.latest[1] > 0 and sender.sent_again != piece.start
         if len(piece.data) > 1 and waited_ns >= RETRANSMISSION_NS and is_new:

@@ -65,9 +65,9 @@ if TYPE_CHECKING:
 #     4        4             1      1              2
 #
 # The time of a packet is that of its last byte, since a tool takes the time after it has read a
-# burst. The header of link type 250 repeats this time. Its events 1 to 4 say if the capturing
-# device sent or received the bytes. They do not say if it was the master, and a device that only
-# listens receives from both. So the decoder finds out the direction from the bytes.
+# burst. The header of link type 250 repeats this time. Its events 1 to 4 say whether the capturing
+# device sent or received the bytes. They do not say whether it was the master, and a device that
+# only listens receives from both. So the decoder finds out the direction from the bytes.
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))

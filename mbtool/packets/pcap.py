@@ -38,8 +38,9 @@ _NEAR_S = 24 * 3600
 """Bytes behind damage are taken for a record only if its time differs by at most this (s) from that
 of the last record."""
 _MAX_ORIGINAL = 16 * 1024 * 1024
-"""The most bytes that a packet had on the wire, for the search; hardware that joins TCP segments
-makes packets of up to some hundred kB."""
+"""The search for the next record after damage accepts a record header only if the packet had at
+most this length (bytes) on the wire. Hardware that joins TCP segments makes packets of up to some
+hundred kB."""
 
 PCAP_HEADER = 24
 """The length of the file header, with its magic, in bytes."""

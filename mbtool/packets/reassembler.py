@@ -1,6 +1,6 @@
 """Reassembles TCP connections from packets, and returns their bytes in order."""
 
-# Only connections with a wanted TCP port at one end are followed. Of other packets only the headers
+# Only connections with a wanted TCP port at one end are followed. Only the headers of other packets
 # are read. The slave is the end with the wanted port. If both ends have one, the slave is the end
 # that received the SYN; without a SYN it is the end with the lower port; with equal ports it is the
 # destination of the first segment.

@@ -114,7 +114,7 @@ class Stream:
         self.finish: int | None = None
         """The byte offset of the stream's end, as the sender's FIN shows; None before the FIN."""
         self.syn_end: int | None = None
-        """None, except after a SYN segment that carried bytes, until it is known if the sender
+        """None, except after a SYN segment that carried bytes, until it is known whether the sender
         counts the SYN itself as one sequence number. Meanwhile this is the stream position behind
         these bytes, calculated as if the SYN counts."""
         self.acknowledged = 0

@@ -13,7 +13,7 @@
 # (`across`), a copy that another interface captured is dropped without an event.
 #
 # Limits: MAX_FLOWS flows are kept; above that, the least recently used one is forgotten. For each
-# direction, the digests of the last KEPT datagrams are kept for COPY_WITH_NUMBER_NS.
+# direction, the digests of the last KEPT_DATAGRAMS datagrams are kept for COPY_WITH_NUMBER_NS.
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mbtool.packets.stream_events import StreamItem
 
 MAX_FLOWS = 4096
-KEPT = 8
+KEPT_DATAGRAMS = 8
 COPY_NS = 2_000_000
 COPY_WITH_NUMBER_NS = 1_000_000_000
 DOUBLED = "a datagram came twice; its second copy is left out"
@@ -43,7 +43,7 @@ class _Seen(NamedTuple):
     """A datagram that came before."""
 
     digest: bytes
-    """The digest of its payload."""
+    """The digest of the datagram's payload."""
     number: int
     ts_ns: int
     interface: str
@@ -54,7 +54,7 @@ class _Flow:
 
     def __init__(self, identity: Connection) -> None:
         self.identity = identity
-        self.seen = {each: deque[_Seen](maxlen=KEPT) for each in Direction}
+        self.seen = {each: deque[_Seen](maxlen=KEPT_DATAGRAMS) for each in Direction}
         self.asked_ns = 0
         """The time of the last request that is no copy."""
 

@@ -116,7 +116,7 @@ class ClockWatch:
 
         A change below SLEW_NS is taken as an error of measurement and ignored.
         """
-        ahead_ns = self._measured()
+        ahead_ns = self._measure_ahead()
         if abs(ahead_ns - self.ahead_ns) >= SLEW_NS:
             self._before_ns, self.ahead_ns = self.ahead_ns, ahead_ns
 
@@ -145,7 +145,7 @@ class ClockWatch:
             key=lambda at_ns: abs(at_ns - near_ns),
         )
 
-    def _measured(self) -> int:
+    def _measure_ahead(self) -> int:
         return _measured_ahead_ns() - _RunClock.ahead_ns
 
 

@@ -44,9 +44,10 @@ if TYPE_CHECKING:
 # token that the passing time adds.
 
 SPARE_S = 1.0
-"""If a tap has as many connections as its limit allows, a new one replaces an unused one. Unused is
-a connection on which the slave has never answered, or that one side has ended, and that carried no
-byte for this many seconds. (The TCP guide, V1.0b, 4.3.2, also closes the oldest unused one.)"""
+"""If a tap has as many connections as its limit allows, a new one replaces an unused one. A
+connection is unused if no byte came on it for this time (s), and either the slave has never
+answered on it or one side has ended it. (The TCP guide, V1.0b, 4.3.2, also closes the oldest unused
+one.)"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,7 +27,7 @@ class Mistake(NamedTuple):
     """A mistake in a text."""
 
     at: int
-    """The index of its first character in the text."""
+    """The index in the text of the mistake's first character."""
     told: str
     """Advice to the user what to write instead."""
 

@@ -279,8 +279,8 @@ class RecordedSlave:
         self.answered_from: Counter[AnsweredFrom] = Counter()
         """The number of requests from the live master, by what their answers were taken from."""
         self.unrecorded: Counter[RequestKind] = Counter()
-        """The number of requests from the live master that are not in the recording, by request. Of
-        the different ones, only the first MAX_UNRECORDED are counted."""
+        """The number of requests from the live master that are not in the recording, by request.
+        Only the first MAX_UNRECORDED different ones are counted."""
         self.missed = 0
         """The number of requests that are not in the recording, to units that answer in it."""
 

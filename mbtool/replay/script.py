@@ -46,7 +46,8 @@ class Step:
     unit: int
     pdu: bytes
     expected: bytes | None
-    """The PDU of the recorded response; None if there was none, or if the capture lost it."""
+    """The PDU of the recorded response; None if the slave sent no response, or if the capture lost
+    it."""
     latency_ns: int | None
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
@@ -56,7 +57,7 @@ class Step:
     device: str | None
     """The name of the slave's device profile; None if it has none."""
     is_captured: bool = True
-    """False if the capture lost the response, so that nobody knows if there was one."""
+    """False if the capture lost the response, so that nobody knows whether there was one."""
     open_before: tuple[int, ...] = ()
     """The numbers of the earlier steps whose responses came only after this request was recorded,
     so that the recorded master did not wait for them. The player does not wait for these either,

@@ -45,8 +45,8 @@ class Amount:
 
     def allows(self, recorded: float, answered: float) -> bool:
         limit = abs(recorded) * self.limit if self.is_share else self.limit
-        # In binary, the difference of decimal numbers such as 21.5 - 21.0 may be a little too
-        # large.
+        # In binary, a difference of decimal numbers may be a little too large: 21.3 - 21.2 is
+        # greater than 0.1.
         return abs(answered - recorded) <= limit * (1 + 1e-9)
 
 

@@ -1,8 +1,8 @@
 """Tells requests from responses on a bus where nothing says who speaks; follows the bus state."""
 
 # One tap on a two-wire line hears the master and the slaves alike. The form of a frame and the bus
-# state (which request is pending, and what came last: bus_state.py) tell if the frame is a request
-# or a response: frame_costs.py gives the cost of each in bits, and the cheaper one wins.
+# state (which request is pending, and what came last: bus_state.py) tell whether the frame is a
+# request or a response: frame_costs.py gives the cost of each in bits, and the cheaper one wins.
 #
 # An adapter may merge several frames, so that all the silences between them appear as one silence
 # before the first. That silence does not tell which response was missing. But if it is longer than

@@ -25,8 +25,8 @@ MAX_PENDING_NS = 1_000_000_000
 """A request is pending for at most this time, in ns; after that the master may send again. Serial
 Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""
 ENOUGH_CHANGES = 3
-"""The directions count as known after this many requests that differ from the response before them,
-if that response repeated its request; see `BusState.changes`."""
+"""The directions count as known once this many requests differed from the response before them,
+where that response had repeated its own request; see `BusState.changes`."""
 MAX_STATES = 4
 """The most bus states that are considered possible at once."""
 
@@ -68,18 +68,19 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
-    """A request that the master gave up, or whose response was damaged. Its response may come
-    late. None if there is none."""
+    """The request that the master gave up, or whose response was damaged, so that its response may
+    still come late; None without such a request."""
     answered: PendingRequest | None = None
-    """The request that the last frame answered; None if the last frame answered none."""
+    """The request that the last frame answered; None if the last frame is no answer to a known
+    request."""
     answered_after_ns: int = 0
     """The time, in ns, from the end of the answered request to the start of its response; 0 if
     silences do not tell who speaks."""
     retries: int = 0
     """The number of requests directly before the pending one that equal it and had no response."""
     is_repeat: bool = False
-    """True if the request that is pending or was just answered repeats the request before it, and
-    that one had a response."""
+    """True if the request that is pending or was just answered equals the request before it, and
+    that earlier request had a response."""
     last_response: bytes = b""
     """The PDU of the last frame if that was a response, to a known request or not; else empty."""
     follows_damage: bool = False

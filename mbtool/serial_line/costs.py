@@ -117,7 +117,8 @@ WRONG_ECHO = 8.0
 """The cost, in bits, of a response to 05, 06 or 16H that repeats the address of its request and
 another value, as of a slave that limits the value."""
 WHOLE_ECHO = 10.0
-"""The cost, in bits, of a response to 0FH or 10H that repeats the whole request: that is rarer."""
+"""The cost, in bits, of a response to 0FH or 10H that repeats the whole request. It is higher than
+WRONG_ECHO, as fewer slaves do so."""
 WRONG_ECHO_AGAIN = 3.0
 """This number of bits is subtracted from WRONG_ECHO or WHOLE_ECHO for each such response that the
 unit has probably given to this function, up to WRONG_ECHOES times: the slave does so again."""
@@ -267,12 +268,12 @@ MAX_DAMAGED_LENGTH = 12.0
 """The most bits that the length of a damaged frame costs if silences bound the frame and separate
 all frames on this line: its length is then certain."""
 CRC_COINCIDENCE = 16.0
-"""The cost, in bits, of taking bytes for no frame although they have a correct CRC at the size that
-their function tells: chance makes such a CRC once in 65,536 times."""
+"""The cost, in bits, of calling a correct CRC a coincidence, if the function code gives the frame's
+length: random bytes have a correct CRC once in 65,536 times."""
 UNKNOWN_CRC_COINCIDENCE = 8.0
-"""The cost, in bits, of taking bytes for no frame although they have a correct CRC at some length
-that their function does not tell: about 256 lengths were tried, so chance makes one of them fit
-more often."""
+"""The cost, in bits, of calling a correct CRC a coincidence, if the function code does not give the
+frame's length. It is less than CRC_COINCIDENCE: about 256 lengths were tried, and each may have a
+correct CRC by chance."""
 DAMAGED = 10.0
 """The cost, in bits, of a frame with a wrong CRC that has the size its function tells: on a good
 line, one frame in a thousand is damaged."""
@@ -280,8 +281,8 @@ DAMAGED_OTHER_SIZE = 3.0
 """Extra cost, in bits, of a damaged frame that lost bytes, or whose size only the silences around
 it tell."""
 ONE_WRONG_BIT = 2.0
-"""The cost, in bits, of a damaged frame whose CRC becomes correct by changing one bit. Of 400
-frames of 20 bytes with any other damage, one would show this by chance."""
+"""The cost, in bits, of a damaged frame whose CRC becomes correct by changing one bit. By chance,
+one in 400 frames of 20 bytes with any other damage would show this, too."""
 ONE_WRONG_BIT_PER_BYTE = 0.1
 """Extra cost, in bits, of each byte of a frame with one wrong bit: in a longer frame, more bits
 could by chance make the CRC correct."""
@@ -323,9 +324,9 @@ GLUED = 2.0
 """The cost, in bits, of a frame that begins without a silence before it. A start value, which the
 line statistics replace."""
 BEHIND_NOISE = 4.0
-"""The most bits that a missing silence before a frame costs, if skipped bytes precede the frame and
-a silence follows it. That silence shows that the frame is not part of the registers of a longer
-frame, whose CRC would follow."""
+"""The upper limit, in bits, of the cost of a missing silence before a frame that has skipped bytes
+before it and a silence behind it. The silence shows that the frame is not part of the registers of
+a longer frame, as the CRC of that frame would follow."""
 GLUED_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of a frame without a silence before it can
 become."""
@@ -356,9 +357,9 @@ ENDS_IN_ZERO = 5.0
 is correct without that byte too. One frame in 256 ends in 00, and one stray byte in four is 00. So
 the 00 may be either, and which is more likely depends on how frequent stray bytes are."""
 ENDS_IN_ZERO_MORE = 6.0
-"""Extra cost, in bits, of each further 00 at the end of a frame whose function does not tell its
-size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits). So the 00 is 6
-bits more likely to be a stray byte."""
+"""Extra cost, in bits, of each further 00 at the end of a frame whose function code does not give
+its size. It is 8 bits less 2 bits: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in
+four (2 bits). So the 00 is more likely to be a stray byte."""
 ZERO_BEFORE_SILENCE = 1.5
 """This number of bits is subtracted from ENDS_IN_ZERO if a silence follows the 00 at the end of the
 frame. A stray byte with a silence behind it usually has one before it, too. This 00 has none before

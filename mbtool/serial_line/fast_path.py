@@ -54,8 +54,9 @@ _LOOP = 5
 """At least this many equal frames behind the first one are a request that the master repeats in a
 loop, and not retries."""
 _LONG_RUN = 24
-"""If at least this many equal frames follow each other, the number of those behind them is not
-counted. It is at most the number of frames that the window keeps undecided."""
+"""If at least this many equal frames follow each other, a master writes one value in a loop, and
+the run's end is not awaited to count its frames. It is at most the number of frames that the window
+keeps undecided."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more is left to the
 search, unless by its form it can only be a request."""
@@ -129,7 +130,7 @@ class FastPath:
                 return size, ordinary
         classified = model.classify(unit, pdu, start_ns, roles)
         if self._is_never_decided(unit, pdu, start_ns):
-            return size, self._undecided(unit, pdu, start_ns)
+            return size, self._doubtful_classification(unit, pdu, start_ns)
         cost = model.cost(model.state, unit, pdu, classified.direction, start_ns)
         if cost > _MAX_COST and not (
             cost <= _MAX_COST + costs.PREVIOUS_UNANSWERED
@@ -243,7 +244,7 @@ class FastPath:
         """
         return not self._model.history.timed and self._model.may_be_retry(unit, pdu, start_ns)
 
-    def _undecided(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
+    def _doubtful_classification(self, unit: int, pdu: bytes, start_ns: int) -> Classification:
         """Return the likelier direction of a frame that equals the one before, as doubtful.
 
         If it is a retry, a request remains without a response.
@@ -305,7 +306,7 @@ class FastPath:
             if not is_echo or silent or history.retry.bits < costs.RETRY:
                 return None
             size = len(pdu) + 3
-            if self._follows_response(data, size):
+            if self._is_response_by_what_follows(data, size):
                 return FITTING_RESPONSE
             return self._classification_in_odd_run(Direction.RESPONSE, data, size)
         if state.follows_damage or state.last_ns is None:
@@ -325,7 +326,7 @@ class FastPath:
             bits -= costs.NEW_REQUEST
         return Classification(Direction.REQUEST, DirectionBy.IDLE, confidence_of(bits))
 
-    def _follows_response(self, data: bytes, size: int) -> bool:
+    def _is_response_by_what_follows(self, data: bytes, size: int) -> bool:
         """True if the frames behind the first one, which has `size` bytes and equals the pending
         request, show that it is the response and no retry.
 

@@ -7,8 +7,8 @@ Costs are in bits: the negative logarithm of a probability, to base 2.
 # address. Without a pending request, a frame with the form of a request is a request. Requests and
 # responses of 05, 06, 08, 15H and 16H look alike, so only the bus state and the silences tell them
 # apart: masters wait longer before a retry than slaves take to respond. Some responses of 01, 02,
-# 14H and 17H are as long as a request. Such a frame is taken for the response, however late, if as
-# a request it would be implausible, or has never been heard on this line.
+# 14H and 17H are as long as a request. Such a frame counts as the response, however late, if it
+# would be an implausible request, or a request never heard on this line.
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
 REMEMBERED = 256
-"""The most frames for which it is remembered if they keep the limits of a request. In doubt, the
-same frame is asked about several times."""
+"""The size of the cache of _breaks_limits, in PDUs. In doubt, the cost of the same frame is asked
+for several times."""
 USUAL_TIMEOUT_NS = 200_000_000
 """Masters seldom wait less than this, in ns, for a response."""
 

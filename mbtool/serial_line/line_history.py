@@ -27,8 +27,8 @@ PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
 ONE_SIDE = 3
-"""After this many responses in a row that nobody requested, only the slaves count as heard. A
-capture begins as if there had been one."""
+"""Once this many responses in a row came that nobody requested, only the slaves are heard.
+`unasked` counts them. A capture begins with a count of 1."""
 ENOUGH_PAUSES = 16
 """After this many pauses the shortest pause of the line counts as known."""
 

@@ -6,7 +6,8 @@ from math import inf, log2
 
 from mbtool.serial_line import costs
 
-# BurstStatistics learns if an adapter may merge a request and its retry into one burst of bytes.
+# BurstStatistics learns whether an adapter may merge a request and its retry into one burst of
+# bytes.
 #
 # A burst is the bytes from one silence of t3.5 to the next. An adapter or a program that holds
 # bytes back for up to 255 ms delivers a request and its retry as one burst, like a request and its

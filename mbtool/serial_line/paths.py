@@ -1,9 +1,9 @@
 """Paths (explanations of the bytes of an RTU window), and the confidence of each segment."""
 
 # A path is a linked list of segments: each path knows its last segment and the path before it, so
-# that paths share their common beginning. Of the paths that reach the same offset in the same bus
-# state, the cheapest is continued. Paths that cost almost as little are kept with it as rivals;
-# they lower the confidence of the segments that they do not contain.
+# that paths share their common beginning. If several paths reach the same offset in the same bus
+# state, only the cheapest is continued. Paths that cost almost as little are kept with it as
+# rivals; they lower the confidence of the segments that they do not contain.
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 # Three steps decide the bytes, from the cheapest to the most expensive. The first decides most
 # bytes of a working line, so the search runs only where something is unclear.
 #
-# 1. The fast path (fast_path.py) tells if the next frame is certain, or certainly incomplete.
+# 1. The fast path (fast_path.py) tells whether the next frame is certain, or certainly incomplete.
 # 2. At a silence of t3.5, the search (search.py) explains the buffered bytes. All are returned
 #    except an incomplete frame, which an adapter may have split. It stays buffered until HOLD_NS
 #    after its last byte, or HOLD_DUE_NS if it is the frame that is due. The bytes before the
@@ -111,7 +111,7 @@ class _BehindNoise(NamedTuple):
     """A certain frame behind bytes that belong to no frame."""
 
     skipped: int
-    """The number of these bytes."""
+    """The number of bytes that were skipped."""
     frame: tuple[int, Classification]
 
 
@@ -472,7 +472,7 @@ class RtuSplitter:
             if segment.kind is SegmentKind.INCOMPLETE or not 0 < size <= decidable:
                 return False
             if segment.kind is SegmentKind.FRAME:
-                classified = self._classified(segment)
+                classified = self._classification_of(segment)
                 is_clear = classified.confidence >= NO_RIVAL_CONFIDENCE
                 doubtful = self._doubtful - 1 if is_clear else self._doubtful + 1
                 self._doubtful = min(max(doubtful, 0), 2 * LONG_DOUBT)
@@ -500,7 +500,7 @@ class RtuSplitter:
         else:
             self._model.hear_damage()
 
-    def _classified(self, segment: Segment) -> Classification:
+    def _classification_of(self, segment: Segment) -> Classification:
         """Return the direction of a frame that the search has found, and what decided it."""
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, segment.confidence)

@@ -15,7 +15,7 @@
 #
 # Speed, measured on a slow core. The slowest input found is random bytes with a silence after each:
 # the search decodes 5,500 bytes/s, and a line with 1.75 ms after each byte delivers at most
-# 540 bytes/s. Of random bytes in bursts of 32 it decodes 8,000 bytes/s, and a line of 115200 baud
+# 540 bytes/s. It decodes 8,000 bytes/s of random bytes in bursts of 32; a line of 115200 baud
 # delivers 6,700.
 
 from __future__ import annotations
@@ -382,8 +382,8 @@ class PathSearch:
     def _keep_incomplete(self, path: Path) -> None:
         """Keep a path that ends in an incomplete frame if it is the cheapest such path so far.
 
-        Of two paths to the same incomplete frame, the one that costs more becomes a rival of the
-        other: it may lower the confidence of the other's segments.
+        If two paths end in the same incomplete frame, the one that costs more becomes a rival of
+        the other: it may lower the confidence of the other's segments.
         """
         best = self._incomplete
         if best is not None and best.segment == path.segment:

@@ -12,7 +12,7 @@
 # A port that is set to a wrong parity often delivers the right bytes. Set to 8E1 it delivers all
 # bytes of an 8O1 line. It also delivers the bytes of an 8N1 line if its receiver, like a 16550,
 # takes the missing stop bit for the next start bit. Only the errors that the driver marks show the
-# wrong setting; the driver does not say if the parity or the stop bit was wrong.
+# wrong setting; the driver does not say whether the parity or the stop bit was wrong.
 #
 # A setting is scored by the bytes in frames with a correct CRC or LRC, less the bytes marked as
 # damaged. A frame with a correct CRC appears by chance now and then, never several in a row.
@@ -47,7 +47,7 @@ correct CRC or LRC."""
 ENOUGH_WITHOUT_FIT = 200
 """Listening at one serial format ends after this many bytes if its best setting has a fit below
 LIKELY_FIT."""
-ENOUGH = 600
+ENOUGH_BYTES = 600
 """Listening at one serial format ends after this many bytes: more would hardly change the
 scores."""
 
@@ -156,7 +156,7 @@ class SettingsTrial:
         best = self.scores()[0]
         return (
             best.is_sure
-            or self.heard >= ENOUGH
+            or self.heard >= ENOUGH_BYTES
             or (self.heard >= ENOUGH_WITHOUT_FRAME and not best.frames)
             or (self.heard >= ENOUGH_WITHOUT_FIT and best.fit < LIKELY_FIT)
         )

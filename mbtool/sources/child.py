@@ -65,7 +65,7 @@ def start_child(module: str, *arguments: str, files: Sequence[int] = ()) -> subp
     as the parent's. Raises LinkError if the system starts no more processes.
     """
     try:
-        return _started(module, *arguments, files=files)
+        return _start_process(module, *arguments, files=files)
     except OSError as error:
         if error.errno not in (errno.EAGAIN, errno.ENOMEM):
             raise
@@ -75,7 +75,7 @@ def start_child(module: str, *arguments: str, files: Sequence[int] = ()) -> subp
         ) from error
 
 
-def _started(module: str, *arguments: str, files: Sequence[int]) -> subprocess.Popen[bytes]:
+def _start_process(module: str, *arguments: str, files: Sequence[int]) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-P", "-m", module, *arguments]
     environment = share_clock(dict(os.environ))
     if sys.platform == "win32":

@@ -268,7 +268,7 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
             raise InputError(f"{name}: empty; a capture has at least a header")
         kind = _kind(name, head, line)
         if kind is CaptureKind.TEXT_LOG and not _is_standard_input(file):
-            stream = _probed(name, stream)
+            stream = _stream_after_probe(name, stream)
         if kind in _TEXT_KINDS and head.startswith(codecs.BOM_UTF8):
             stream.read(len(codecs.BOM_UTF8))
         return CaptureFile(name, kind, stream, file)
@@ -323,7 +323,7 @@ def _without_zeros(head: bytes, stream: io.BufferedIOBase) -> tuple[bytes, io.Bu
     return text[:_HEAD], io.BufferedReader(_Rejoined(text, stream), _BUFFER)
 
 
-def _probed(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
+def _stream_after_probe(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
     """Return a stream that begins with the same bytes; raise EmptyError for a short text without a
     Modbus frame.
 

@@ -116,12 +116,12 @@ class Sink(Protocol):
 
 
 class PatientSink(Sink, Protocol):
-    """A sink whose consumer waits while a source is inside the context of `first`.
+    """A sink whose consumer waits while a source is inside the context of `fetching_first`.
 
     So the source gets the interpreter while it fetches data from the kernel.
     """
 
-    def first(self) -> AbstractContextManager[None]: ...
+    def fetching_first(self) -> AbstractContextManager[None]: ...
 
 
 class Inbox:
@@ -176,7 +176,7 @@ class Inbox:
             return True
 
     @contextmanager
-    def first(self) -> Iterator[None]:
+    def fetching_first(self) -> Iterator[None]:
         """A context in which a source fetches and puts items while the consumer waits.
 
         The consumer waits for at most STANDSTILL_S at a time, and not if the inbox is more than

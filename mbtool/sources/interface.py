@@ -334,7 +334,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         hardware = listener.getsockname()[3]
         unreadable = hardware_trouble(hardware)
         if unreadable is not None:
-            raise LinkError(f"{_called(self._link, name)}: {unreadable}")
+            raise LinkError(f"{_link_text(self._link, name)}: {unreadable}")
         _prepare(listener, port_filter(self._ports, is_loopback=hardware == _ARPHRD_LOOPBACK))
         return _LINK_TYPES[hardware]
 
@@ -350,7 +350,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                 ready, _, _ = select.select(waited_for, [], [], _SOON_S if held else _TICK_S)
                 is_running = told not in ready
                 asked_ns = now_ns()
-                with self._inbox.first():
+                with self._inbox.fetching_first():
                     self._clocks.look()
                     more = self._fetch()
                     for _ in range(0 if is_running else _LAST_FETCHES):
@@ -472,7 +472,7 @@ def capture_trouble() -> PortTrouble | None:
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
-    # Open a packet socket to see if the kernel permits it. It is bound to no protocol, so it
+    # Open a packet socket to see whether the kernel permits it. It is bound to no protocol, so it
     # receives nothing.
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
@@ -510,7 +510,7 @@ def hardware_trouble(hardware: int) -> PortTrouble | None:
 def _open(link: InterfaceLink, name: str) -> Any:
     interfaces = [name for _, name in socket.if_nameindex()]
     is_any = name == ANY_INTERFACE
-    of = _called(link, name)
+    of = _link_text(link, name)
     if sys.platform == "linux" and not is_any and name not in interfaces:
         raise LinkError(f"{of}: no such interface; here are: {', '.join(interfaces)}")
     # Check the permission before scapy is imported: the import takes time, and scapy's error
@@ -536,7 +536,7 @@ def _open(link: InterfaceLink, name: str) -> Any:
         raise LinkError(f"{of}: cannot listen: {why}") from error
 
 
-def _called(link: InterfaceLink, name: str) -> str:
+def _link_text(link: InterfaceLink, name: str) -> str:
     """Return the link as text, with the interface's name behind it if the link has several."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 

@@ -28,7 +28,7 @@ from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_opening import open_listening
 from mbtool.ports.serial_port import IDLE_S, ListeningPort
 from mbtool.serial_line.settings_fit import (
-    ENOUGH,
+    ENOUGH_BYTES,
     LIKELY_FIT,
     SettingsScore,
     SettingsTrial,
@@ -184,7 +184,7 @@ class _Listener:
                 trial.feed(data, self._port.damaged, at_ns)
             # Do not stop right after data: the frame may continue, as some adapters make pauses
             # inside a frame.
-            if (not data or trial.heard >= ENOUGH) and trial.is_decided:
+            if (not data or trial.heard >= ENOUGH_BYTES) and trial.is_decided:
                 self._is_busy = True
                 break
             if self._has_tried(trial, begin_ns, first_ns, at_ns):

@@ -1,7 +1,7 @@
 """Lists the network interfaces of this machine, and what prevents capturing from each."""
 
-# On Linux all facts come from /sys/class/net, and the kernel says if capturing is permitted. Other
-# systems give only the names.
+# On Linux all facts come from /sys/class/net, and the kernel says whether capturing is permitted.
+# Other systems give only the names.
 #
 #     NAME/flags      bit 1H is IFF_UP
 #     NAME/carrier    1 if the cable is connected at both ends; unreadable while the interface is

@@ -94,9 +94,9 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         self._report(f"{item.error} It is opened again when it is back")
         self._wanted.set()
 
-    def first(self) -> AbstractContextManager[None]:
+    def fetching_first(self) -> AbstractContextManager[None]:
         """Return the context in which the consumer of the inbox waits while the source fetches."""
-        return self._heard.first()
+        return self._heard.fetching_first()
 
     def _keep(self) -> None:
         while True:

@@ -81,10 +81,10 @@ or stop bit."""
 _MOST_TRIED = 3000
 """The most characters of a channel that are cut into frames to find the line's settings and its
 channels."""
-_FEW = 20
+_MIN_CHARACTERS = 20
 _LEAST_KINDS = 3
-"""A channel with _FEW characters or more counts as carrying characters only if at least this many
-different byte values occur: a clock signal looks like one character that repeats."""
+"""A channel with _MIN_CHARACTERS characters or more counts as carrying characters only if at least
+this many different byte values occur: a clock signal looks like one character that repeats."""
 _SAME = 0.9
 """A channel counts as a copy of another one if at least this share of its characters (0 to 1) is in
 the other one at the same time."""
@@ -163,7 +163,7 @@ class _FoundFormat(NamedTuple):
     """The line settings that fit a recording."""
 
     format: SerialFormat | None
-    """None if no channel carries characters."""
+    """The line's format; None if no channel carries characters."""
     has_frames: bool
     """True if the characters are frames with correct CRCs."""
 
@@ -232,8 +232,8 @@ class _Recording:
     def heads(self) -> dict[int, _Head]:
         """Return the beginning of each channel, by the channel's number.
 
-        Reading stops at the block of samples in which a channel exceeds LOOKED_AT edges. Of that
-        channel only the first LOOKED_AT edges are returned.
+        Reading stops at the block of samples in which a channel exceeds LOOKED_AT edges. Only the
+        first LOOKED_AT edges of that channel are returned.
         """
         heads: dict[int, _Head] = {}
         for block in self.blocks(self.channels):
@@ -381,7 +381,7 @@ def _choose(heads: dict[int, _Head], line: LineSettings, rate: int) -> list[_Cha
     tolerance = rate / line.format.baud
     for one in heard:
         together = [*chosen, one]
-        gained = _framed(_in_order(together), line, rate)[0]
+        gained = _framed_characters(_in_order(together), line, rate)[0]
         if gained > framed:
             framed = gained
         elif framed or any(
@@ -399,7 +399,7 @@ def _hear(number: int, head: _Head, line: LineSettings, rate: int) -> _HeardUart
         characters = head.characters(line.format, rate, level)
         if not _are_sent(characters):
             continue
-        framed, _ = _framed(characters, line, rate)
+        framed, _ = _framed_characters(characters, line, rate)
         if best is None or framed > best.framed:
             best = _HeardUart(_Channel(number, level), characters, framed)
     return best
@@ -415,7 +415,7 @@ def _are_frames(characters: Sequence[Character], line: SerialFormat, rate: int) 
     A channel of RS-232 carries the requests or the responses only. Random bytes have a frame with a
     correct CRC now and then, but hardly two, and hardly one of the form that its function tells.
     """
-    framed, frames = _framed(characters, LineSettings(line), rate)
+    framed, frames = _framed_characters(characters, LineSettings(line), rate)
     return any(map(_has_known_form, frames)) and framed >= LIKELY_FIT * min(
         len(characters), _MOST_TRIED
     )
@@ -427,7 +427,7 @@ def _has_known_form(frame: Adu) -> bool:
     return any(pdu_length(frame.pdu, way) == len(frame.pdu) for way in ways)
 
 
-def _framed(
+def _framed_characters(
     characters: Sequence[Character], line: LineSettings, rate: int
 ) -> tuple[int, list[Adu]]:
     """Return the number of the first characters that are in frames with a correct checksum.
@@ -453,7 +453,7 @@ def _are_sent(found: Sequence[Character]) -> bool:
     """True if a UART probably sent these characters: few are wrong, and they are not all alike."""
     if not found or wrong_share(found) > _MAX_WRONG:
         return False
-    return len(found) < _FEW or len({one.byte for one in found}) >= _LEAST_KINDS
+    return len(found) < _MIN_CHARACTERS or len({one.byte for one in found}) >= _LEAST_KINDS
 
 
 def _repeats(one: Sequence[Character], other: Sequence[Character], tolerance: float) -> bool:

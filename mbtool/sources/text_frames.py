@@ -29,8 +29,8 @@
 # and the next frame is another request, the log lacks the rest. Then a frame with `is_whole` False
 # is returned, since the slave was not silent.
 #
-# A log counts as Modbus once it has given enough evidence (ENOUGH). Earlier frames are held until
-# then.
+# A log counts as Modbus once it has given enough evidence (ENOUGH_EVIDENCE). Earlier frames are
+# held until then.
 #
 # Memory: MAX_HELD frames, and MAX_LABELS labels with at most MAX_PART bytes each.
 
@@ -64,11 +64,11 @@ MAX_HELD = 256
 MAX_LABELS = 256
 MAX_PART = 2 * MAX_RTU_ADU
 MAX_BEGINS = 8
-"""A frame other than RTU is found in the first piece since the last frame and what follows, or in
-the last pieces, at most this many."""
+"""A frame other than RTU is looked for at the beginnings of at most this many of the last pieces of
+bytes, and of the first piece since the last frame."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
-ENOUGH = 4
+ENOUGH_EVIDENCE = 4
 """The evidence from which on a log is taken for Modbus. A request with its response right behind it
 is enough; an RTU frame counts 2 if a word or arrow gives it a direction, otherwise 1; a frame of
 another kind counts 1 if it has a direction, and 1 if its transaction id is the next one. A frame
@@ -79,10 +79,12 @@ MAX_MISSES = 32
 dump of one frame are 17 at most."""
 
 FEW_MISSES = 16
+"""At its end, a log with too little evidence is still taken for Modbus if at most this many runs of
+bytes were no frame, and a word or arrow gave an RTU frame its direction."""
 FEWEST_MISSES = 4
-"""A log with too little evidence counts at its end if at most this many runs of bytes are no frame:
-16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
-as most requests are, or of 5, as exception responses are, or several different ones."""
+"""The limit in place of FEW_MISSES if no RTU frame has a direction by a word or arrow, but there is
+an RTU frame of 8 bytes, as most requests are, or of 5, as exception responses are, or at least two
+different RTU frames."""
 
 _MARKED = 2
 _USUAL_SIZES = (5, 8)
@@ -102,7 +104,7 @@ class TextFrame(NamedTuple):
     transport: Transport
     direction: Direction
     row: int
-    """The number of its line in the file, from 1."""
+    """The number, from 1, of the frame's line in the file."""
     is_whole: bool = True
     """False for bytes that only begin like a response; the log lacks the rest."""
 
@@ -245,14 +247,14 @@ class TextFrames:
                 self._parts.pop(label.text, None)
                 break
         else:
-            found = self._joined(choices[0], label, row)
+            found = self._join_pieces(choices[0], label, row)
         shown = [_FoundFrame(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
             choices[0], label, ts_ns, row
         )
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not shown)
         if not shown and self._pending is not None:
-            shown = self._damaged(choices[0], self._pending, label, ts_ns, row)
+            shown = self._damaged_response(choices[0], self._pending, label, ts_ns, row)
         frames = [frame for one in shown for frame in self._frame(one, label)]
         if self.is_modbus:
             if self._held:
@@ -282,7 +284,7 @@ class TextFrames:
         part = self._parts.get(label.text)
         return part is not None and bool(label.text) and row - part.row <= MAX_LINES_APART
 
-    def _damaged(
+    def _damaged_response(
         self, data: bytes, asked: TextFrame, label: Label, ts_ns: int | None, row: int
     ) -> list[_FoundFrame]:
         """Return the response to the last request if it has its length, but a wrong CRC.
@@ -330,7 +332,7 @@ class TextFrames:
             self._evidence = 0
             self._held.clear()
 
-    def _joined(self, data: bytes, label: Label, row: int) -> list[tuple[Transport, bytes]]:
+    def _join_pieces(self, data: bytes, label: Label, row: int) -> list[tuple[Transport, bytes]]:
         part = self._parts.pop(label.text, None)
         if part is None or row - part.row > MAX_LINES_APART:
             part = _OpenBytes()
@@ -387,8 +389,8 @@ class TextFrames:
             weight = _weight(transport, form, is_marked) + is_next
             self._has_marked |= weight >= _MARKED
             is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
-            self._evidence += ENOUGH if is_pair and form and not is_echo else weight
-            self.is_modbus = self._evidence >= ENOUGH
+            self._evidence += ENOUGH_EVIDENCE if is_pair and form and not is_echo else weight
+            self.is_modbus = self._evidence >= ENOUGH_EVIDENCE
             if not self.is_modbus:
                 self._held += [frame] if begun is None else [begun, frame]
                 return []
@@ -400,10 +402,12 @@ class TextFrames:
         """Return the direction of a frame, and True if its form alone shows it."""
         if len(form) == 1:
             return form[0], True
-        of_label = _decided(self._labels.get(label.text))
+        of_label = _majority_direction(self._labels.get(label.text))
         if of_label is not None:
             return of_label, False
-        of_word = _decided(self._words[label.mark.word]) if label.mark is not None else None
+        of_word = (
+            _majority_direction(self._words[label.mark.word]) if label.mark is not None else None
+        )
         if of_word is not None:
             return of_word, False
         asked = self._pending
@@ -466,7 +470,7 @@ def _follows(before: TextFrame, frame: TextFrame) -> bool:
     return ids[1] == ids[0] + 1
 
 
-def _decided(votes: list[int] | None) -> Direction | None:
+def _majority_direction(votes: list[int] | None) -> Direction | None:
     """Return the direction that has at least three of four votes; None if neither has."""
     if votes is None or 4 * max(votes) < 3 * sum(votes) or not sum(votes):
         return None

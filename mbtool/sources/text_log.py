@@ -346,15 +346,17 @@ class _Plan(NamedTuple):
     places: tuple[_BytesPlace, ...]
 
 
-_UNKNOWN = _Plan(None, ())
-"""Stands for the plan of a shape that was not seen before."""
+_NO_PLAN_YET = _Plan(None, ())
+"""Stands for the plan of a shape that did not come before. None is the plan of a shape that cannot
+have bytes."""
 
 
-class _Before(NamedTuple):
+class _LineFacts(NamedTuple):
     """The facts that lines of one shape tell about the bytes in later lines."""
 
     has_bytes: bool
-    """True if they have bytes enough for a frame, so that their mark is of these."""
+    """True if the lines have bytes enough for a frame, so that a mark in them tells about these
+    bytes and not about later ones."""
     mark: Mark | None
     time: Time | None
 
@@ -370,7 +372,7 @@ class TextLog:
         self._connection = Connection(Endpoint(MASTER, 0), Endpoint(link, MODBUS_PORT))
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
-        self._befores: dict[bytes, _Before] = {}
+        self._line_facts: dict[bytes, _LineFacts] = {}
         """The facts that lines of each shape tell about later lines, by the shape."""
         self._recent: deque[tuple[bytes, bytes]] = deque(maxlen=LOOK_BACK)
         """The last lines, and their shapes."""
@@ -435,9 +437,9 @@ class TextLog:
             shapes = b"\n".join(lines).translate(SHAPE).split(b"\n")
             for line, shape in zip(lines, shapes, strict=True):
                 self.lines += 1
-                plan = self._plans.get(shape, _UNKNOWN)
-                if plan is _UNKNOWN:
-                    plan = self._planned(line, shape) if may_be_bytes(line, shape) else None
+                plan = self._plans.get(shape, _NO_PLAN_YET)
+                if plan is _NO_PLAN_YET:
+                    plan = self._make_plan(line, shape) if may_be_bytes(line, shape) else None
                 if plan is not None:
                     yield from self._read(line, plan)
                 self._recent.append((line, shape))
@@ -469,7 +471,7 @@ class TextLog:
         if rest:
             yield _without_colours([rest])
 
-    def _planned(self, line: bytes, shape: bytes) -> _Plan | None:
+    def _make_plan(self, line: bytes, shape: bytes) -> _Plan | None:
         """Find what to read in lines of this shape; None if there is nothing."""
         if len(self._plans) >= MAX_SHAPES:
             self._plans.clear()
@@ -527,15 +529,17 @@ class TextLog:
         row = self.lines
         for line, shape in reversed(self._recent):
             row -= 1
-            before = self._befores.get(shape)
-            if before is None:
-                if len(self._befores) >= MAX_SHAPES:
-                    self._befores.clear()
-                before = self._befores[shape] = _line_before(line, self._plans.get(shape))
-            is_of_bytes = before.has_bytes
-            mark = mark or before.mark
-            if ts_ns is None and before.time is not None:
-                ts_ns = self._read_time_ns(before.time, line)
+            facts = self._line_facts.get(shape)
+            if facts is None:
+                if len(self._line_facts) >= MAX_SHAPES:
+                    self._line_facts.clear()
+                facts = self._line_facts[shape] = _facts_for_later_lines(
+                    line, self._plans.get(shape)
+                )
+            is_of_bytes = facts.has_bytes
+            mark = mark or facts.mark
+            if ts_ns is None and facts.time is not None:
+                ts_ns = self._read_time_ns(facts.time, line)
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines belong to one object.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -598,12 +602,12 @@ class TextLog:
         )
 
 
-def _line_before(line: bytes, plan: _Plan | None) -> _Before:
+def _facts_for_later_lines(line: bytes, plan: _Plan | None) -> _LineFacts:
     has_bytes = plan is not None and any(
         one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
     )
     mark = None if has_bytes else find_mark(line, is_strong=True)
-    return _Before(has_bytes, mark, find_time(line))
+    return _LineFacts(has_bytes, mark, find_time(line))
 
 
 def _without_colours(lines: list[bytes]) -> list[bytes]:

@@ -184,7 +184,8 @@ class DateOrder:
 
     def __init__(self) -> None:
         self._has_day_first: bool | None = None
-        """None until a date has shown it."""
+        """True if the day comes before the month, False if not; None until a date has shown the
+        order."""
         self._last: tuple[int, int] | None = None
         self.guessed = b""
         """The first date that was read month first without a date that shows it; empty if none."""

@@ -4,8 +4,8 @@
 # a stop bit (high). Each bit is sampled in its middle, counted from the falling edge of the start
 # bit; the next character may begin from the middle of the stop bit on. A start bit that is high in
 # its middle is ignored as a disturbance. A character with a wrong parity or stop bit is decoded
-# like any other, because the CRC or LRC of its frame decides if it is right. A break, which is low
-# from end to end, is not decoded.
+# like any other, because the CRC or LRC of its frame decides whether it is right. A break, which is
+# low from end to end, is not decoded.
 #
 # The settings found are those with the fewest wrong characters. Only those baud rates are tried
 # whose bit time is about the length of the shortest pulses.
@@ -44,7 +44,7 @@ class Character(NamedTuple):
     """The number of the sample at which its start bit begins."""
     byte: int
     is_wrong: bool
-    """True if its parity or its stop bit is wrong."""
+    """True if the parity or the stop bit of the character is wrong."""
 
 
 class UartChannel:

@@ -48,7 +48,8 @@ class _SlowAnswer(NamedTuple):
     negative_ns: int
     """The time of the request (UTC ns) with a minus."""
     number: int
-    """A number of its own, so that two are never compared by their evidence."""
+    """The number of the slow answer, different for each, so that a heap never compares two by their
+    evidence."""
     evidence: Evidence
 
 
@@ -60,7 +61,8 @@ class Cases(Sense):
     def __init__(self) -> None:
         self._failed: dict[tuple[str, int, Outcome], list[Evidence]] = {}
         self._slow: dict[PollKey, list[_SlowAnswer]] = {}
-        """By poll, a heap of its slowest answers. Of equally slow ones the first are kept."""
+        """By poll, a heap of its slowest answers. If several answers are equally slow, the first
+        are kept."""
         self._number = 0
         """The number of slow answers that were kept so far."""
         self._damaged: dict[str, list[Evidence]] = {}

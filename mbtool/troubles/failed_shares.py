@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 # Limits with which `stats`, `report` and `watch` judge failed requests.
 
-FEW = 0.01
+MIN_FAILED_SHARE = 0.01
 """Failures are grave only if they are at least this share (0 to 1) of the requests to a unit."""
-ENOUGH = 3
+MIN_FAILED = 3
 """Failures are grave only if they are at least this many of the requests to a unit."""
 THROUGHOUT = 0.1
 """If no request failed in this first share (0 to 1) of the time in which a unit was asked, the
@@ -33,8 +33,10 @@ which a unit was asked, the report names no time: the failures are counted among
 
 
 def is_grave(failed: int, asked: int) -> bool:
-    """True if at least ENOUGH requests of a unit failed, and at least the share FEW of them."""
-    return failed >= ENOUGH and failed >= FEW * asked
+    """True if at least MIN_FAILED requests of a unit failed, and at least the share
+    MIN_FAILED_SHARE of them.
+    """
+    return failed >= MIN_FAILED and failed >= MIN_FAILED_SHARE * asked
 
 
 def never_answers(tally: RequestTally) -> bool:
@@ -73,7 +75,7 @@ class FailedShare(NamedTuple):
     asked: int
     """The number of requests in the time from `since_ns` to `until_ns`."""
     since_ns: int | None = None
-    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
+    """The time (ns since 1970) of the first failure; None if requests failed from the beginning."""
     until_ns: int | None = None
     """The time (ns since 1970) of the last failure; None if the failures have not ended."""
     is_long: bool = False
@@ -105,7 +107,7 @@ def missing_share(tally: RequestTally, times: UnitAccount | None) -> FailedShare
     if share.is_grave:
         return share
     silence_ns = times.last_ns - times.silent_since_ns
-    if is_silent and times.silent >= ENOUGH and silence_ns >= _SHORTEST_NS:
+    if is_silent and times.silent >= MIN_FAILED and silence_ns >= _SHORTEST_NS:
         return FailedShare(
             times.silent, times.silent, times.silent_since_ns, is_long=_is_long(times)
         )
@@ -123,7 +125,7 @@ def _share(
 ) -> FailedShare | None:
     if not failed:
         return None
-    if times is None or span is None or failed < ENOUGH:
+    if times is None or span is None or failed < MIN_FAILED:
         return FailedShare(failed, tally.requests)
     is_late, is_over = time_of_failures(times.first_ns, span.first_ns, span.last_ns, times.last_ns)
     if times.last_ns - times.first_ns < _SHORTEST_NS or not (is_late or is_over):

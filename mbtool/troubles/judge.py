@@ -66,19 +66,19 @@ def network_senses(cases: Cases) -> list[Sense]:
 
 Q = TypeVar("Q", bound="QuietRows")
 
-JOINED = 3
+MIN_JOINED = 3
 """Troubles with the same code are shown as one if at least this many units, links or masters have
 it."""
-ENOUGH = 20
+MIN_ANSWERED = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
-MOSTLY = 0.5
+MIN_EXPLAINED_SHARE = 0.5
 """The trouble of one unit, or a small one, is the cause of another trouble only if it has at least
 this share (0 to 1) of the other's cases."""
-PIECES = 4
-"""Adapters tear the bytes of one damaged frame into several pieces. So the trouble of a unit is the
-cause of bytes that are no frame (RTU-201, RTU-202) if these are at most this many times as many as
-its cases."""
-CHANCE = 1e-6
+PIECES_PER_CASE = 4
+"""An adapter may deliver the bytes of one damaged frame in several pieces. So the trouble of a unit
+or line explains bytes that are no frame (RTU-201, RTU-202) if there are at most this many of them
+for each case of the trouble."""
+MIN_CHANCE_OF_SILENCE = 1e-6
 """The least probability (0 to 1) that damage hits all answers of a unit. If it is smaller, the
 damage of the line does not explain why this unit never answers."""
 _BYTES = frozenset(("RTU-201", "RTU-202"))
@@ -102,7 +102,7 @@ class Judgement:
     @property
     def is_enough(self) -> bool:
         """True if enough requests were answered to say that all is well."""
-        return _count_answered(self._total) >= ENOUGH
+        return _count_answered(self._total) >= MIN_ANSWERED
 
     @property
     def level(self) -> str:
@@ -158,9 +158,9 @@ class Judge:
         """
         self.ledger = ledger
         self.findings = Summaries()
-        """The broken rules that `note` has got, by code and place."""
+        """The broken rules that `note` received, by code and place."""
         self.remarks: list[str] = []
-        """Sentences for the user that are no findings; those of a capture are there when it
+        """Sentences for the user that are no findings; those of a capture come when it has
         ended."""
         self._context = context or CaptureContext()
         self._cases = Cases()
@@ -171,7 +171,7 @@ class Judge:
         self._of_networks = (self._cases, self._values, *of_networks)
         self._senses = (*self._of_lines, *of_networks)
         self._checker: Checker | None = None
-        """The rules, with what they remember of the present capture; None outside of a capture."""
+        """The rule checker with its state of the present capture; None between captures."""
 
     def begin_capture(self, context: CaptureContext | None = None) -> None:
         """Note that the next record belongs to another capture, perhaps of another day.
@@ -193,7 +193,9 @@ class Judge:
 
     @property
     def norm_remark(self) -> str | None:
-        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        """A sentence for the user if the baseline could not be used; None if it was used, or if
+        there is no baseline.
+        """
         return self._values.norm_remark
 
     def end_capture(self) -> Iterator[Finding]:
@@ -265,9 +267,9 @@ class Judge:
         several = len(links) > 1
         named = [
             replace(one, names_link=several)
-            for one in self._cases.with_evidence(_unexplained(found))
+            for one in self._cases.with_evidence(_unexplained_troubles(found))
         ]
-        return Judgement(_sorted_worst_first(_joined(named)), links)
+        return Judgement(_sorted_worst_first(_join_alike(named)), links)
 
 
 def units_text(units: Collection[tuple[str, int]]) -> str:
@@ -293,7 +295,7 @@ def _stray_frames(links: Sequence[LinkReport]) -> Iterator[Trouble]:
             )
 
 
-def _unexplained(found: Sequence[Trouble]) -> list[Trouble]:
+def _unexplained_troubles(found: Sequence[Trouble]) -> list[Trouble]:
     """Return the troubles that no other trouble is the cause of.
 
     What is only possible goes first, so that it explains nothing that has another cause.
@@ -320,29 +322,31 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
         return other.sureness is Sureness.POSSIBLE
     if cause.code == "LINE-TWO-MASTERS" and other.code in ("LINE-SETTINGS", "LINE-FOREIGN"):
         # Masters that ask in step collide for seconds, always with the same bytes.
-        return cause.count >= MOSTLY * other.count
+        return cause.count >= MIN_EXPLAINED_SHARE * other.count
     if other.code not in cause.words.explains:
         return False
     if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
         if other.code == "UNIT-SILENT" and cause.of:
-            return (cause.count / cause.of) ** other.count >= CHANCE
-        return not cause.is_small or cause.count >= MOSTLY * other.count
+            return (cause.count / cause.of) ** other.count >= MIN_CHANCE_OF_SILENCE
+        return not cause.is_small or cause.count >= MIN_EXPLAINED_SHARE * other.count
     is_of_line = other.unit is None or other.words.noun == "line" or other.code.startswith("RTU")
     is_of_unit = is_of_line or other.unit == cause.unit
-    share = 1 / PIECES if other.code in _BYTES else MOSTLY
+    share = 1 / PIECES_PER_CASE if other.code in _BYTES else MIN_EXPLAINED_SHARE
     return is_of_unit and cause.count >= share * other.count
 
 
-def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
-    """Join the same trouble of at least JOINED units, links or masters into one, worst first."""
+def _join_alike(found: Iterable[Trouble]) -> Iterator[Trouble]:
+    """Join the same trouble of at least MIN_JOINED units, links or masters into one, worst
+    first.
+    """
     kinds: dict[tuple[str, bool], list[Trouble]] = {}
     for one in found:
         kinds.setdefault((one.code, one.is_small), []).append(one)
     for some in kinds.values():
         some.sort(key=lambda one: -one.weight)
-        if len(some) < JOINED:
+        if len(some) < MIN_JOINED:
             yield from some
         else:
             yield replace(some[0], others=tuple(some[1 : MAX_OTHERS + 1]))

@@ -32,9 +32,9 @@ A damaged frame is an event: a wrong CRC, or bytes that are no frame.
 # LINE-NOISE        All other damage. The trouble says where it is: in the answers of one unit, in
 #                   those of all units, in the requests, or in both.
 #
-# False alarms: single damaged frames happen on healthy lines, so ENOUGH of them are needed; less
-# than the share FEW of the transactions is a note. An adapter that cuts frames loses no bytes.
-# Single constant bytes are another trouble (line_strays.py).
+# False alarms: single damaged frames happen on healthy lines, so MIN_CASES of them are needed; less
+# than the share MIN_DAMAGED_SHARE of the transactions is a note. An adapter that cuts frames loses
+# no bytes. Single constant bytes are another trouble (line_strays.py).
 #
 # Memory: HELD events, KNOWN requests, numbers for each of 256 units, and MAX_EVIDENCE cases of each
 # kind, for each of at most MAX_LINKS links.
@@ -60,51 +60,66 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.statistics_report import LinkReport, PollReport
 
-ENOUGH = 3
+MIN_CASES = 3
 """The least number of cases from which a trouble is reported."""
-ENOUGH_MERGED = 2
+MIN_MERGED = 2
 """The least number of damaged frames with the bytes of two requests that proves two masters."""
-FEW_MERGED = 0.1
+MIN_MERGED_SHARE = 0.1
 """If a unit seems to have two slaves, damaged frames with the bytes of two requests prove two
 masters only if they are at least this share (0 to 1) of all damaged frames."""
-FEW = 0.01
+MIN_DAMAGED_SHARE = 0.01
 """LINE-NOISE and LINE-LOST-BYTES are notes if damaged frames are fewer than this share (0 to 1) of
 the transactions."""
-MOSTLY = 0.8
+MIN_PLACE_SHARE = 0.8
 """If at least this share (0 to 1) of a line's damaged frames is in one kind of place (the answers
-of one unit, all answers, or the requests), the trouble names that place. A unit has two slaves only
-if at least this share is in or directly after its answers."""
-SHORTER = 0.6
+of one unit, all answers, or the requests), the trouble names that place."""
+MIN_UNIT_SHARE = 0.8
+"""A unit has two slaves only if at least this share (0 to 1) of the line's damaged frames is in or
+directly after its answers."""
+MIN_DAMAGED_ANSWERS = 0.8
+"""If damaged answers of a unit have no extra bytes, they show two slaves only if they follow at
+least this share (0 to 1) of the requests to it."""
+MIN_ASKED_BEFORE = 0.8
+"""The trouble names the unit that is asked right before the one with two slaves if that is the same
+unit in at least this share (0 to 1) of the cases."""
+MIN_SHORTER_SHARE = 0.6
 """LINE-LOST-BYTES is reported, not LINE-NOISE, if at least this share (0 to 1) of the damaged
 frames of a known length are shorter than they should be."""
-WAITS = 1000
+KEPT_WAITS = 1000
 """The last times (ns) that are kept of a line's requests without an answer in time."""
-SOON = 0.85
-"""A request that comes within this share (0 to 1) of the median time for which this line's masters
-wait for missing answers did not follow a time-out: another master sent it."""
-OTHER_LENGTH = 0.5
-"""A share (0 to 1) that decides if a unit has two slaves: at least this share of its requests had
-damage behind them, less than this share of that damage follows the request to another unit without
-an answer in time, and, without extra bytes, at least this share of its damaged answers have another
-length than asked for, or begin with wrong bytes."""
-EXTRA = 0.25
+MAX_INTERRUPTED_WAIT = 0.85
+"""If a request comes sooner after an unanswered one than this share (0 to 1) of the median time
+that this line's masters wait for missing answers, no time-out has passed: another master sent
+it."""
+MIN_DAMAGED_REQUESTS = 0.5
+"""A unit has two slaves only if at least this share (0 to 1) of its requests had damage or a second
+answer behind them."""
+MAX_AFTER_LATE = 0.5
+"""A unit has two slaves only if less than this share (0 to 1) of the damage after its requests
+follows a request to another unit without an answer in time, whose late answer may be the cause."""
+MIN_WRONG_ANSWERS = 0.5
+"""If damaged answers of a unit have no extra bytes, they show two slaves only if at least this
+share (0 to 1) of them has another length than asked for, or begins with wrong bytes."""
+MIN_EXTRA_SHARE = 0.25
 """A unit has two slaves if at least this share (0 to 1) of the damage after its requests has more
 bytes than asked for."""
-LENGTHS = 4
-"""If damaged answers of a unit have no extra bytes, differing lengths show two slaves only if there
-are at least this many different lengths."""
-ALIKE = 0.6
+MIN_LENGTHS = 4
+"""If damaged answers of a unit have no extra bytes, their lengths show two slaves only if there are
+at least this many different ones."""
+MIN_EQUAL_BYTES = 0.6
 """Damaged bytes are taken for a known request of the same size if at least this share (0 to 1) of
-its bytes are equal. A poll's period is exact if at least this share of its periods is near the
-median one."""
+its bytes are equal."""
+MIN_EQUAL_PERIODS = 0.6
+"""A poll has a usual period if at least this share (0 to 1) of its periods is about equal to the
+median one (PERIOD_TOLERANCE)."""
 LEAST_BYTES = 4
 """Damage of fewer bytes than this is not compared with known frames."""
 SECOND_NS = 200_000_000
 """A response without a request counts as a second response to the last request only if it comes at
 most this long (ns) after the first one."""
-EVEN = 0.1
+PERIOD_TOLERANCE = 0.1
 """Two periods of polls (ns) count as equal if they differ by at most this share (0 to 1)."""
-ENOUGH_PERIODS = 5
+MIN_PERIODS = 5
 """Polls with fewer measured periods than this do not show which master sent them."""
 MOST_NAMED = 4
 """A text names at most this many units of each master."""
@@ -137,7 +152,8 @@ class _DamagedUnit:
     """The number of damaged answers with fewer bytes than asked for."""
     longer: int = 0
     lengths: set[int] = field(default_factory=set)
-    """Different sizes of damaged answers, as bytes more than asked for; at most LENGTHS of them."""
+    """Different sizes of damaged answers, as bytes more than asked for; at most MIN_LENGTHS of
+    them."""
     garbled: int = 0
     """The number of damaged answers whose first bytes are wrong, too."""
     seconds: int = 0
@@ -145,15 +161,15 @@ class _DamagedUnit:
     after: int = 0
     """The number of damaged frames right after an answer of the unit."""
     before: Counter[int] = field(default_factory=Counter)
-    """By unit, how often it was asked right before a request whose answer is damaged or has damaged
-    bytes behind it."""
-    in_wakes: int = 0
-    """The number of damaged frames after a request to another unit that was not answered in time,
-    and whose late answer may have done it."""
+    """By unit, the number of its requests that came right before a request whose answer is damaged
+    or has damaged bytes behind it."""
+    after_late: int = 0
+    """The number of damaged frames after a request to another unit that was not answered in time:
+    its late answer may have caused the damage."""
     asked: int = 0
     answered: int = 0
     latency_ns: int = 0
-    """The sum of the latencies of its answers."""
+    """The sum of the latencies (ns) of the unit's answers."""
     last: NamedTransaction | None = None
     """The last transaction with an answer in time."""
     cases: list[Evidence] = field(default_factory=list)
@@ -176,13 +192,13 @@ class _DamagedLine:
     elsewhere: int = 0
     merged: int = 0
     """The number of times that two requests were on the line at once."""
-    interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
+    interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_WAITS))
     """The waits (ns) of requests that another request interrupted before the usual answer."""
     responses: deque[int] = field(default_factory=lambda: deque(maxlen=HELD))
     """The times (ns) of the last responses."""
     late: int = 0
     """The number of late answers, which make a master go on sooner, too."""
-    waits: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
+    waits: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_WAITS))
     """The times (ns) from a request without an answer in time to the next request."""
     is_told: bool = False
     """True if the decoder reported two masters."""
@@ -192,12 +208,12 @@ class _DamagedLine:
 
     @property
     def interruptions(self) -> int:
-        """The number of requests that another request interrupted within the share SOON of the
-        master's usual time-out.
+        """The number of requests that another request interrupted within the share
+        MAX_INTERRUPTED_WAIT of the master's usual time-out.
         """
         if not self.waits:
             return len(self.interrupted)
-        soon_ns = SOON * median(self.waits)
+        soon_ns = MAX_INTERRUPTED_WAIT * median(self.waits)
         return sum(waited_ns < soon_ns for waited_ns in self.interrupted)
 
     def unit(self, number: int) -> _DamagedUnit:
@@ -325,7 +341,7 @@ class LineDamage(SortedSense):
         unit = line.unit(last.unit)
         before = line.before
         if before is not None and before.outcome in _NOT_IN_TIME:
-            unit.in_wakes += bool(answer)
+            unit.after_late += bool(answer)
         elif before is not None and answer and last.start_ns - before.start_ns <= SECOND_NS:
             unit.before[before.unit] += 1
         if last.outcome is not Outcome.NO_ANSWER:
@@ -367,14 +383,14 @@ class LineDamage(SortedSense):
 
 
 def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -> Iterator[Trouble]:
-    doubles = [number for number, unit in line.units.items() if unit.seconds >= ENOUGH]
+    doubles = [number for number, unit in line.units.items() if unit.seconds >= MIN_CASES]
     if not doubles:
         doubles = [number for number, unit in line.units.items() if _has_two_slaves(line, unit)]
     collisions = line.merged + line.interruptions
-    merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
+    merged = line.merged >= (MIN_MERGED_SHARE * line.damaged if doubles else MIN_MERGED)
     is_told = line.is_told and not doubles
-    is_proved = is_told or (line.merged >= ENOUGH_MERGED and merged)
-    if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
+    is_proved = is_told or (line.merged >= MIN_MERGED and merged)
+    if is_proved or (collisions >= max(MIN_CASES, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
             figures={"polls": _polls_of_two([one.poll for one in polls])},
@@ -392,16 +408,16 @@ def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -
                 each for each, other in line.units.items() if other.answered or each == number
             ),
             figures={"how": _second_slave_text(unit), "other": _colliding_unit_text(unit, count)},
-            sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
+            sureness=Sureness.CERTAIN if unit.seconds >= MIN_CASES else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
     number = line.damaged
-    if doubles or number < ENOUGH:
+    if doubles or number < MIN_CASES:
         return
     units = line.units.values()
     short = line.short_requests + sum(unit.shorter for unit in units)
     known = line.in_requests + sum(unit.damaged for unit in units)
-    is_short = known >= ENOUGH and short >= SHORTER * known
+    is_short = known >= MIN_CASES and short >= MIN_SHORTER_SHARE * known
     where, worst = _place_of_damage(line)
     cases = [*line.cases, *(case for unit in units for case in unit.cases)]
     yield Trouble(
@@ -411,7 +427,7 @@ def _line_troubles(link: str, line: _DamagedLine, polls: Sequence[PollReport]) -
         count=number,
         of=max(line.transactions, number),
         weight=number,
-        is_small=number < FEW * line.transactions,
+        is_small=number < MIN_DAMAGED_SHARE * line.transactions,
         figures={"where": where, "percent": percent(min(number / line.transactions, 1))}
         if line.transactions
         else {"where": where, "percent": "all"},
@@ -426,11 +442,11 @@ def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
     groups: list[tuple[int, list[PollStatistics]]] = []
     for poll in sorted(polls, key=lambda one: one.period.percentile(50)):
         period, usual_ns = poll.period, poll.period.percentile(50)
-        near = period.count_at_least(round((1 - EVEN) * usual_ns))
-        near -= period.count_at_least(round((1 + EVEN) * usual_ns))
-        if period.count < ENOUGH_PERIODS or near < ALIKE * period.count:
+        near = period.count_at_least(round((1 - PERIOD_TOLERANCE) * usual_ns))
+        near -= period.count_at_least(round((1 + PERIOD_TOLERANCE) * usual_ns))
+        if period.count < MIN_PERIODS or near < MIN_EQUAL_PERIODS * period.count:
             continue
-        if groups and usual_ns <= (1 + EVEN) * groups[-1][0]:
+        if groups and usual_ns <= (1 + PERIOD_TOLERANCE) * groups[-1][0]:
             groups[-1][1].append(poll)
         else:
             groups.append((usual_ns, [poll]))
@@ -438,16 +454,16 @@ def _polls_of_two(polls: Sequence[PollStatistics]) -> str:
         return ""
     (first_ns, first), (second_ns, second) = groups
     times = second_ns / first_ns
-    if abs(times - round(times)) <= EVEN * times:
+    if abs(times - round(times)) <= PERIOD_TOLERANCE * times:
         return ""
     both = {one.key.unit for one in first} & {one.key.unit for one in second}
     return (
-        f"; one asks {_asked_text(first, both)} every {_rounded(first_ns)}, "
-        f"the other {_asked_text(second, both)} every {_rounded(second_ns)}"
+        f"; one asks {_asked_text(first, both)} every {_period_text(first_ns)}, "
+        f"the other {_asked_text(second, both)} every {_period_text(second_ns)}"
     )
 
 
-def _rounded(ns: int) -> str:
+def _period_text(ns: int) -> str:
     """Write a period with two digits, as an adapter makes times coarse."""
     return duration(round(ns, 2 - len(str(ns))))
 
@@ -482,7 +498,7 @@ def _colliding_unit_text(unit: _DamagedUnit, count: int) -> str:
     collides.
     """
     before, number = unit.before.most_common(1)[0] if unit.before else (0, 0)
-    is_likely = unit.seconds < ENOUGH and number >= MOSTLY * count
+    is_likely = unit.seconds < MIN_CASES and number >= MIN_ASKED_BEFORE * count
     return f", or as unit {before}, which is asked right before it" if is_likely else ""
 
 
@@ -490,17 +506,19 @@ def _has_two_slaves(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit, though no whole second answer was heard."""
     others = [one for one in line.units.values() if one is not unit and one.answered]
     collided = unit.damaged + unit.after + unit.seconds
-    if not others or collided < max(ENOUGH, OTHER_LENGTH * unit.asked, MOSTLY * line.damaged):
+    if not others or collided < max(
+        MIN_CASES, MIN_DAMAGED_REQUESTS * unit.asked, MIN_UNIT_SHARE * line.damaged
+    ):
         return False
-    if unit.in_wakes >= OTHER_LENGTH * collided:
+    if unit.after_late >= MAX_AFTER_LATE * collided:
         return False
-    if unit.longer + unit.after + unit.seconds >= EXTRA * collided:
+    if unit.longer + unit.after + unit.seconds >= MIN_EXTRA_SHARE * collided:
         return True
-    if unit.damaged < MOSTLY * unit.asked:
+    if unit.damaged < MIN_DAMAGED_ANSWERS * unit.asked:
         return False
-    is_other = unit.shorter + unit.longer >= OTHER_LENGTH * unit.damaged
-    is_garbled = unit.garbled >= OTHER_LENGTH * unit.damaged
-    return is_garbled or (is_other and len(unit.lengths) >= LENGTHS)
+    is_other = unit.shorter + unit.longer >= MIN_WRONG_ANSWERS * unit.damaged
+    is_garbled = unit.garbled >= MIN_WRONG_ANSWERS * unit.damaged
+    return is_garbled or (is_other and len(unit.lengths) >= MIN_LENGTHS)
 
 
 def _place_of_damage(line: _DamagedLine) -> tuple[str, int | None]:
@@ -509,11 +527,11 @@ def _place_of_damage(line: _DamagedLine) -> tuple[str, int | None]:
     answers, number = by_unit.total(), line.damaged
     if answers:
         unit, most = by_unit.most_common(1)[0]
-        if most >= MOSTLY * number and len(line.units) > 1:
+        if most >= MIN_PLACE_SHARE * number and len(line.units) > 1:
             return f"in the answers of unit {unit}", unit
-    if line.in_requests >= MOSTLY * number:
+    if line.in_requests >= MIN_PLACE_SHARE * number:
         return "in the master's requests", None
-    if answers >= MOSTLY * number:
+    if answers >= MIN_PLACE_SHARE * number:
         return "in the answers of all units", None
     return "in requests and answers", None
 
@@ -540,7 +558,7 @@ def _note_answer(
         return
     unit.shorter += came < expected
     unit.longer += came > expected
-    if len(unit.lengths) < LENGTHS:
+    if len(unit.lengths) < MIN_LENGTHS:
         unit.lengths.add(came - expected)
     unit.garbled += not _has_ends(answer[0].raw, _expected_head(request, expected))
 
@@ -568,7 +586,9 @@ def _request_of(raw: bytes, requests: Iterable[bytes]) -> bytes | None:
         if one[1] not in _READS:
             continue
         if len(raw) == len(one):
-            if sum(mine == its for mine, its in zip(raw, one, strict=True)) >= ALIKE * len(one):
+            if sum(
+                mine == its for mine, its in zip(raw, one, strict=True)
+            ) >= MIN_EQUAL_BYTES * len(one):
                 return one
         elif LEAST_BYTES <= len(raw) < len(one):
             begin = _common_prefix_size(raw, one)

@@ -3,22 +3,24 @@
 # The decoder marks late responses. The time-out is the time from a request without a response in
 # time to the next request on the line.
 #
-# A late answer may collide with the next request, so that nobody can read it. A wake is the time in
-# which this can happen: it begins with the next request, and lasts as long as the master waited for
-# the answer. So two kinds of units count as late without readable late answers:
+# A late answer may collide with the next request, so that nobody can read it. A disturbed window is
+# the time in which this can happen: it begins with the next request and lasts as long as the master
+# waited for the answer. So two kinds of units count as late without readable late answers:
 #
-# - units some of whose answers come just before the time-out (NEAR), while others are missing;
-# - units that answer some requests in time, if damaged frames come in the wakes of their missing
+# - units some of whose answers come just before the time-out (NEAR_TIMEOUT), while others are
+#   missing;
+# - units that answer some requests in time, if damaged frames come in the windows of their missing
 #   answers and hardly at other times. A unit that never answers in time may be dead, so it counts
-#   as late only if another unit's request fails in most of these wakes.
+#   as late only if another unit's request fails in most of these windows.
 #
 # False alarms: an answer to a damaged request may be taken for a late answer to the request before.
 # So a response directly after damaged bytes does not count as late. If many frames are damaged, a
-# master that sends its next request as soon as after an answer (PACE) did not wait for a time-out:
-# it got the answer, and the recording lacks it.
+# master that sends its next request as soon as after an answer (MIN_WAIT_TO_PACE) did not wait for
+# a time-out: it got the answer, and the recording lacks it.
 #
-# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units; the last requests
-# and damaged frames (RECENT of each) and the open wakes for each of at most MAX_LINKS links.
+# Memory: MAX_EVIDENCE cases and KEPT_TIMES times for each of at most MAX_UNITS units; the last
+# requests and damaged frames (KEPT_FRAMES of each) and the open windows for each of at most
+# MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -38,37 +40,41 @@ from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
-ENOUGH = 3
-"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers are called late
-only if there are at least this many."""
-FEW = 0.01
-"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than
-this."""
+MIN_CASES = 3
+"""LINE-LATE is a note if a unit has fewer late answers than this. Missing answers, damaged windows
+and measured times count only if there are at least this many."""
+MIN_LATE_SHARE = 0.01
+"""LINE-LATE is a note if late answers are a smaller share (0 to 1) of a unit's requests than this.
+Missing answers with latencies near the time-out count only if they are at least this share."""
 SHORTEST_TIMEOUT_NS = 100_000_000
 """A request that comes less than this (ns) after one without an answer did not follow a time-out:
 another master sent it, or the recording lacks the answer."""
 MAX_UNITS = 500
 """Late answers are kept for at most this many units, of all links together."""
-TIMES = 200
-"""The last times (ns) of each kind that are kept of a unit."""
-RECENT = 64
-"""The times (ns) of at most this many last requests, and as many damaged frames, are kept of each
+KEPT_TIMES = 200
+"""The number of last times (ns) of each kind that are kept of a unit."""
+KEPT_FRAMES = 64
+"""The times (ns) of this many last requests, and of as many damaged frames, are kept of each
 line."""
-PACE = 1.1
+MIN_WAIT_TO_PACE = 1.1
 """A master has waited for its time-out if its wait (ns) is at least this many times its median time
 from an answered request to the next one."""
-OFTEN = 0.5
-"""A share (0 to 1). A unit without late answers is blamed for damage only if at least this share of
-its wakes (the times after its unanswered requests) has damage, and its wakes are at most this share
-of the recording. On a line with at least this many damaged frames for each late or missing answer,
-damage explains these unless the master waited for them."""
-MOSTLY = 0.8
-"""A unit that never answers in time is blamed for damage only if in at least this share (0 to 1) of
-its wakes a request to another unit failed, too."""
-ITS_OWN = 0.7
+DAMAGE_PER_LATE_ANSWER = 0.5
+"""If a line has at least this many damaged frames for each late or missing answer of a unit, damage
+explains these answers, unless the master has waited for its time-out."""
+MIN_DAMAGED_WINDOWS = 0.5
+"""A unit that answers some requests in time is blamed for damage only if at least this share (0 to
+1) of its disturbed windows (_DisturbedWindow) has damage."""
+MIN_FAILED_WINDOWS = 0.8
+"""A unit that never answers in time is blamed for damage only if at least this share (0 to 1) of
+its disturbed windows has damage and a failed request to another unit."""
+MAX_WINDOWS_SHARE = 0.5
+"""A unit is blamed for damage only if its disturbed windows take at most this share (0 to 1) of the
+recording. If they took more, damage would come in them by chance."""
+MIN_OWN_DAMAGE = 0.7
 """Damage on a line is blamed on a unit's late answers only if at least this share (0 to 1) of it
 follows requests to this unit that were not answered in time."""
-NEAR = 0.85
+NEAR_TIMEOUT = 0.85
 """Missing answers of a unit are called late if the 95th percentile of its latencies is at least
 this share (0 to 1) of the master's time-out."""
 
@@ -79,49 +85,49 @@ class _LateUnit:
 
     count: int = 0
     missing: int = 0
-    latencies: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
-    waits: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
+    latencies: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
+    waits: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
     """The times (ns) from requests without an answer in time to the master's next request."""
-    paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=TIMES))
+    paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
     """Pairs of times (ns) of answered requests: the latency, and the time from request to next
     request."""
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
-    wakes: int = 0
-    """The number of times after a request to this unit that was not answered in time (_Wake)."""
-    wakes_ns: int = 0
-    """The sum of the lengths of these times, in ns."""
-    damaged_wakes: int = 0
-    spoilt_wakes: int = 0
-    """The number of damaged wakes in which another unit's request failed."""
+    windows: int = 0
+    """The number of disturbed windows after requests to this unit."""
+    windows_ns: int = 0
+    """The sum of the lengths of the disturbed windows, in ns."""
+    damaged_windows: int = 0
+    failed_windows: int = 0
+    """The number of damaged windows in which another unit's request failed."""
     damage: int = 0
-    """The number of damaged frames in wakes."""
+    """The number of damaged frames in disturbed windows."""
 
 
 @dataclass(slots=True)
-class _Wake:
+class _DisturbedWindow:
     """The time in which a late answer to a request of a unit may disturb other requests."""
 
     unit: _LateUnit
     end_ns: int
     is_damaged: bool = False
     has_failed: bool = False
-    """True if a request of another unit got no answer in it."""
+    """True if a request to another unit got no answer in this window."""
 
 
 @dataclass(slots=True)
 class _LateLine:
     last: NamedTransaction | None = None
-    """The last transaction; it is judged once the master's next request is known."""
+    """The last transaction. It is judged once the time of the master's next request is known."""
     pending: list[NamedTransaction] = field(default_factory=list)
     """Late transactions whose response is not reached yet."""
-    requests: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    requests: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
     """The times (ns) of the last requests."""
-    damage: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    damage: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
     """The times (ns) of the last damaged frames."""
     damaged: int = 0
     units: set[int] = field(default_factory=set)
-    wakes: list[_Wake] = field(default_factory=list)
+    windows: list[_DisturbedWindow] = field(default_factory=list)
     begin_ns: int | None = None
     end_ns: int = 0
 
@@ -145,7 +151,7 @@ class LateOnLine(SortedSense):
         for name, line in self._lines.items():
             self._resolve(name, line, None)
             line.last = None
-            line.wakes.clear()
+            line.windows.clear()
 
     def flush(self) -> None:
         super().flush()
@@ -160,11 +166,11 @@ class LateOnLine(SortedSense):
         self._resolve(event.link, line, event.ts_ns)
         line.damage.append(event.ts_ns)
         line.damaged += 1
-        for wake in line.wakes:
-            wake.unit.damage += 1
-            wake.unit.damaged_wakes += not wake.is_damaged
-            wake.unit.spoilt_wakes += not wake.is_damaged and wake.has_failed
-            wake.is_damaged = True
+        for window in line.windows:
+            window.unit.damage += 1
+            window.unit.damaged_windows += not window.is_damaged
+            window.unit.failed_windows += not window.is_damaged and window.has_failed
+            window.is_damaged = True
 
     def take_transaction(self, one: NamedTransaction) -> None:
         if one.request_ns is None or (line := self._line(one.link)) is None:
@@ -174,8 +180,8 @@ class LateOnLine(SortedSense):
         line.end_ns = one.request_ns
         self._note_wait(line, one)
         if one.outcome is Outcome.NO_ANSWER:
-            for wake in line.wakes:
-                wake.has_failed |= wake.unit is not self._unit(one)
+            for window in line.windows:
+                window.has_failed |= window.unit is not self._unit(one)
         line.requests.append(one.request_ns)
         line.units.add(one.unit)
         if one.outcome is Outcome.LATE:
@@ -199,8 +205,10 @@ class LateOnLine(SortedSense):
         return unit
 
     def _resolve(self, link: str, line: _LateLine, now_ns: int | None) -> None:
-        """Close the wakes and take the late answers that end before `now_ns`; all if it is None."""
-        line.wakes = [wake for wake in line.wakes if now_ns is not None and wake.end_ns >= now_ns]
+        """Close windows and take late answers that end before `now_ns`; all of them if None."""
+        line.windows = [
+            window for window in line.windows if now_ns is not None and window.end_ns >= now_ns
+        ]
         for one in line.pending:
             response_ns = one.response_ns or 0
             if now_ns is not None and response_ns >= now_ns:
@@ -224,9 +232,9 @@ class LateOnLine(SortedSense):
         unit.waits.append(waited_ns)
         is_damaged = bool(line.damage) and line.damage[-1] >= before.request_ns
         if before.outcome is Outcome.NO_ANSWER and not is_damaged:
-            unit.wakes += 1
-            unit.wakes_ns += waited_ns
-            line.wakes.append(_Wake(unit, one.request_ns + waited_ns))
+            unit.windows += 1
+            unit.windows_ns += waited_ns
+            line.windows.append(_DisturbedWindow(unit, one.request_ns + waited_ns))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         self.flush()
@@ -246,15 +254,15 @@ class LateOnLine(SortedSense):
 def _unit_troubles(
     link: str, number: int, unit: _LateUnit, line: _LateLine, tally: RequestTally
 ) -> Iterator[Trouble]:
-    is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
+    is_noisy = line.damaged >= DAMAGE_PER_LATE_ANSWER * (unit.count + unit.missing)
     if is_noisy and not _is_waited_for(unit):
         return
     if unit.waits and median(unit.waits) < SHORTEST_TIMEOUT_NS:
         return
-    if unit.count >= ENOUGH:
+    if unit.count >= MIN_CASES:
         yield _trouble(link, number, unit, tally.requests)
         return
-    is_dead = tally.latency.count < ENOUGH
+    is_dead = tally.latency.count < MIN_CASES
     if _is_cause_of_damage(unit, line, is_dead=is_dead):
         wait = _seconds_text(median(unit.waits))
         yield Trouble(
@@ -271,11 +279,14 @@ def _unit_troubles(
         )  # fmt: skip
         return
     wait_ns, slowest_ns = min(unit.waits, default=0), tally.latency.percentile(95)
-    is_missed = unit.missing >= ENOUGH and tally.latency.count >= ENOUGH
+    is_missed = unit.missing >= MIN_CASES and tally.latency.count >= MIN_CASES
     if not is_missed or wait_ns < SHORTEST_TIMEOUT_NS:
         if unit.count:
             yield _trouble(link, number, unit, tally.requests)
-    elif NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
+    elif (
+        NEAR_TIMEOUT * wait_ns <= slowest_ns <= wait_ns / NEAR_TIMEOUT
+        and unit.missing >= MIN_LATE_SHARE * tally.requests
+    ):
         yield Trouble(
             code="LINE-LATE",
             link=link,
@@ -298,8 +309,8 @@ def _is_waited_for(unit: _LateUnit) -> bool:
     if not unit.waits:
         return True
     wait_ns = median(unit.waits)
-    paces = [pace_ns for latency_ns, pace_ns in unit.paces if latency_ns < NEAR * wait_ns]
-    return len(paces) < ENOUGH or wait_ns >= PACE * median(paces)
+    paces = [pace_ns for latency_ns, pace_ns in unit.paces if latency_ns < NEAR_TIMEOUT * wait_ns]
+    return len(paces) < MIN_CASES or wait_ns >= MIN_WAIT_TO_PACE * median(paces)
 
 
 def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> None:
@@ -315,21 +326,23 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
 
 
 def _is_cause_of_damage(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
-    """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
-    answers in time (`is_dead`), another request must fail in most wakes.
+    """True if damage comes in the disturbed windows of a unit and hardly elsewhere. For a unit that
+    never answers in time (`is_dead`), requests to other units must fail in most of these windows.
     """
-    wakes, often = (unit.spoilt_wakes, MOSTLY) if is_dead else (unit.damaged_wakes, OFTEN)
+    windows, share = unit.damaged_windows, MIN_DAMAGED_WINDOWS
+    if is_dead:
+        windows, share = unit.failed_windows, MIN_FAILED_WINDOWS
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        wakes >= max(ENOUGH, often * unit.wakes)
-        and unit.damage >= ITS_OWN * line.damaged
-        and unit.wakes_ns <= OFTEN * watched_ns
+        windows >= max(MIN_CASES, share * unit.windows)
+        and unit.damage >= MIN_OWN_DAMAGE * line.damaged
+        and unit.windows_ns <= MAX_WINDOWS_SHARE * watched_ns
     )
 
 
 def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
-    is_rare = late.count < ENOUGH
+    is_rare = late.count < MIN_CASES
     count = late.count if is_rare else max(late.count, late.missing)
     waits = _seconds_text(median(late.waits)) if late.waits else "less"
     return Trouble(
@@ -339,7 +352,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         count=count,
         of=max(requests, count),
         weight=count,
-        is_small=is_rare or count < FEW * requests,
+        is_small=is_rare or count < MIN_LATE_SHARE * requests,
         figures={
             "latency": _seconds_text(latency_ns),
             "timeout": waits,

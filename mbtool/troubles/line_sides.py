@@ -1,12 +1,12 @@
 """Finds LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED: one side missing, or frames that come twice."""
 
 # LINE-ONE-SIDE  Only requests, or only responses, are heard: the tap is on one pair of a four-wire
-#                line, or at one of two ports. Only responses: at least ENOUGH responses have no
+#                line, or at one of two ports. Only responses: at least MIN_ALONE responses have no
 #                request, and all requests are writes, which look like their responses. Only
-#                requests: none of at least ENOUGH requests has a response, no other byte is on the
-#                line, and at least two units are asked. With one unit, a dead slave is as likely;
-#                then the trouble is reported only if the master mostly sends the next request
-#                sooner than any master gives up, which shows that it got the responses.
+#                requests: none of at least MIN_ALONE requests has a response, no other byte is on
+#                the line, and at least two units are asked. With one unit, a dead slave is as
+#                likely; then the trouble is reported only if the master mostly sends the next
+#                request sooner than any master gives up, which shows that it got the responses.
 # LINE-ECHO      The decoder reports a second copy of a request (EventKind.ECHO): the adapter hears
 #                its own bytes. This causes no failure, so it is a note.
 # LINE-REPEATED  A response without a request has the same bytes as the previous response, or the
@@ -33,16 +33,16 @@ from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
-ENOUGH = 10
+MIN_ALONE = 10
 """LINE-ONE-SIDE is reported from this many requests, or responses, on."""
-ENOUGH_COPIES = 3
+MIN_COPIES = 3
 """LINE-ECHO and LINE-REPEATED are reported from this many copies on."""
 SOON_NS = 1_000_000_000
 """A response without a request counts as a copy of the last response, if its bytes are the same and
 it comes at most this long (ns) after it."""
-OFTEN = 0.1
+MIN_COPIED_SHARE = 0.1
 """LINE-REPEATED is reported if copies are at least this share (0 to 1) of the responses."""
-MOSTLY = 0.5
+MIN_QUICK_REQUESTS = 0.5
 """If only one unit is asked, LINE-ONE-SIDE is reported only if at least this share (0 to 1) of the
 requests came within SHORTEST_TIMEOUT_NS of the one before."""
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
@@ -59,7 +59,7 @@ class _SidedLine:
     last_ns: int = 0
     """The time (UTC ns) of the last request."""
     soon: int = 0
-    """The number of requests that came less than SHORTEST_TIMEOUT_NS after the one before: no
+    """The number of requests that came less than SHORTEST_TIMEOUT_NS after the request before: no
     master gives up a request within this time."""
     responses: int = 0
     alone: int = 0
@@ -133,8 +133,8 @@ class HeardSides(Sense):
             line = self._lines.get(link.name)
             if line is None or not link.is_whole:
                 continue
-            is_repeated = line.copies >= ENOUGH_COPIES and line.copies >= OFTEN * line.responses
-            if line.echoes >= ENOUGH_COPIES and not is_repeated:
+            is_repeated = line.copies >= max(MIN_COPIES, MIN_COPIED_SHARE * line.responses)
+            if line.echoes >= MIN_COPIES and not is_repeated:
                 yield Trouble(
                     code="LINE-ECHO", link=link.name, count=line.echoes, of=line.requests,
                     evidence=tuple(line.echo_cases),
@@ -144,17 +144,17 @@ class HeardSides(Sense):
                     code="LINE-REPEATED", link=link.name, count=line.copies, of=line.responses,
                     evidence=tuple(line.copy_cases),
                 )  # fmt: skip
-            elif line.alone >= ENOUGH and not line.other_requests:
+            elif line.alone >= MIN_ALONE and not line.other_requests:
                 yield Trouble(
                     code="LINE-ONE-SIDE", link=link.name, count=line.alone, of=line.responses,
                     figures={"side": "responses", "lacking": "requests"},
                     sureness=Sureness.LIKELY, evidence=tuple(line.alone_cases),
                 )  # fmt: skip
             elif (
-                line.requests >= ENOUGH
+                line.requests >= MIN_ALONE
                 and not line.responses
                 and not line.other
-                and (len(line.units) > 1 or line.soon >= MOSTLY * line.requests)
+                and (len(line.units) > 1 or line.soon >= MIN_QUICK_REQUESTS * line.requests)
             ):
                 yield Trouble(
                     code="LINE-ONE-SIDE", link=link.name, count=line.requests, of=line.requests,

@@ -13,9 +13,9 @@
 #                answered, nor because of readable text. On a line with many damaged frames several
 #                may come in a row by chance, so a longer stretch is needed there.
 #
-# False alarms: a broken cable gives some stray bytes, but not ENOUGH_BYTES of them. Noise damages
-# some frames, but polls are answered in between. Foreign frames that are rare, or always different,
-# are not recognised.
+# False alarms: a broken cable gives some stray bytes, but not MIN_STRETCH_BYTES of them. Noise
+# damages some frames, but polls are answered in between. Foreign frames that are rare, or always
+# different, are not recognised.
 #
 # Memory: a few numbers, the first bytes of HEADS pieces, and MAX_EVIDENCE cases of each kind, for
 # each of at most MAX_LINKS links.
@@ -38,15 +38,18 @@ from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, k
 if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
-ENOUGH = 5
+MIN_CASES = 5
 """The least number of constant bytes, or of pieces, from which a trouble is reported."""
-FEW = 0.1
-"""LINE-BIAS is reported only if constant bytes are at least this share (0 to 1) of the requests. It
-names a unit if at least this share of the constant bytes is beside its frames."""
-MOSTLY = 0.8
+MIN_BIAS_SHARE = 0.1
+"""LINE-BIAS is reported only if there is at least this share (0 to 1) of a constant byte for each
+transaction of the line."""
+MIN_UNIT_SHARE = 0.1
+"""LINE-BIAS names a unit if at least this share (0 to 1) of the constant bytes is beside its
+frames."""
+MIN_SAME_VALUE = 0.8
 """LINE-BIAS is reported only if at least this share (0 to 1) of the single bytes has the same
 value."""
-OFTEN = 0.2
+MIN_PLACE_SHARE = 0.2
 """LINE-BIAS names a place, such as before answers, if at least this share (0 to 1) of the constant
 bytes is there."""
 LONGEST_BIAS = 2
@@ -56,7 +59,7 @@ NEAR_NS = 4_000_000
 from it. Farther away it gets no place, as the times of some adapters are too coarse."""
 FOREIGN_BYTES = 50
 """LINE-FOREIGN is reported only if the pieces have at least this many bytes in all."""
-ALIKE = 0.8
+MIN_FOREIGN_SHARE = 0.8
 """LINE-FOREIGN is reported if at least this share (0 to 1) of the pieces is readable text, or
 begins with the same two bytes."""
 SHORTEST_PIECE = 6
@@ -66,13 +69,13 @@ PIECE_NS = 50_000_000
 comes at most this long (ns) after it and no earlier piece begins with the same two bytes."""
 HEADS = 64
 """At most this many different beginnings (two bytes) of pieces are counted for each line."""
-ENOUGH_BYTES = 100
+MIN_STRETCH_BYTES = 100
 """LINE-SETTINGS needs a stretch without a correct frame of at least this many bytes."""
-ENOUGH_PIECES = 5
+MIN_STRETCH_PIECES = 5
 """LINE-SETTINGS needs a stretch without a correct frame of at least this many pieces."""
 SHORTEST_NS = 2_000_000_000
 """LINE-SETTINGS needs a stretch without a correct frame of at least this time (ns)."""
-CHANCE = 1e-6
+MAX_NOISE_CHANCE = 1e-6
 """LINE-SETTINGS needs a stretch whose pieces the line's usual noise would damage in a row with a
 lower probability (0 to 1) than this."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
@@ -106,9 +109,10 @@ class _StrayLine:
     piece_ns: int | None = None
     """The time (ns) of the last piece; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
-    """The number of pieces by their first two bytes."""
+    """The number of pieces, by the first two bytes of the piece."""
     own_heads: set[bytes] = field(default_factory=set)
-    """The first two bytes of known frames: pieces that begin so may be damaged frames."""
+    """The first two bytes of known frames: pieces that begin with the same bytes may be damaged
+    frames."""
     foreign_cases: list[Evidence] = field(default_factory=list)
     read: int = 0
     """The number of bytes in frames."""
@@ -148,7 +152,7 @@ class StrayBytes(SortedSense):
         line.unread += len(raw)
         if len(raw) <= LONGEST_BIAS and len(set(raw)) == 1:
             line.bias[raw[:1]] += 1
-            if len(line.waiting) < ENOUGH:
+            if len(line.waiting) < MIN_CASES:
                 line.waiting.append(event)
             keep(line.bias_cases, Evidence.of_event(event))
             return
@@ -231,14 +235,16 @@ def _bias_troubles(link: LinkReport, line: _StrayLine) -> Iterator[Trouble]:
     if not line.bias:
         return
     (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
-    is_constant = count >= MOSTLY * line.bias.total()
-    if count < ENOUGH or count < FEW * transactions or not is_constant:
+    is_constant = count >= MIN_SAME_VALUE * line.bias.total()
+    if count < MIN_CASES or count < MIN_BIAS_SHARE * transactions or not is_constant:
         return
     by_place: Counter[str] = Counter()
     for (place, _), number in line.places.items():
         by_place[place] += number
     total = by_place.total() or 1
-    places = [place for place, number in by_place.most_common() if number >= OFTEN * total]
+    places = [
+        place for place, number in by_place.most_common() if number >= MIN_PLACE_SHARE * total
+    ]
     whose = (
         _units_beside(link, line, total)
         if all(place.endswith("answers") for place in places)
@@ -261,8 +267,8 @@ def _units_beside(link: LinkReport, line: _StrayLine, total: int) -> str:
     by_unit: Counter[int] = Counter()
     for (_, unit), number in line.places.items():
         by_unit[unit] += number
-    units = sorted(unit for unit, number in by_unit.items() if number >= FEW * total)
-    answering = {one.unit for one in link.functions if one.tally.latency.count >= ENOUGH}
+    units = sorted(unit for unit, number in by_unit.items() if number >= MIN_UNIT_SHARE * total)
+    answering = {one.unit for one in link.functions if one.tally.latency.count >= MIN_CASES}
     return " and ".join(f"unit {unit}" for unit in units) if answering - {*units} else ""
 
 
@@ -293,15 +299,15 @@ def _bias_words(places: Sequence[str], whose: str) -> dict[str, str]:
 
 
 def _foreign_troubles(link: str, line: _StrayLine) -> Iterator[Trouble]:
-    if line.pieces < ENOUGH or line.piece_bytes < FOREIGN_BYTES:
+    if line.pieces < MIN_CASES or line.piece_bytes < FOREIGN_BYTES:
         return
-    if line.answered < ENOUGH or line.answered < 0.5 * line.requests:
+    if line.answered < MIN_CASES or line.answered < 0.5 * line.requests:
         return
     heads = Counter({head: n for head, n in line.heads.items() if head not in line.own_heads})
     head, alike = heads.most_common(1)[0] if heads else (b"", 0)
     count, size, form = line.text, line.text_bytes, "readable text"
-    if line.text < ALIKE * line.pieces:
-        if alike < ALIKE * line.pieces:
+    if line.text < MIN_FOREIGN_SHARE * line.pieces:
+        if alike < MIN_FOREIGN_SHARE * line.pieces:
             return
         count, size, form = alike, line.piece_bytes, f"pieces that begin with {head.hex(' ')}"
     whole = line.read + line.unread
@@ -344,12 +350,12 @@ def _end_stretch(line: _StrayLine) -> None:
 
 def _chance_run_length(damaged: int, right: int) -> float:
     """Return the number of damaged frames in a row that usual noise causes with the probability
-    CHANCE, on a line that has `damaged` and `right` frames in all.
+    MAX_NOISE_CHANCE, on a line that has `damaged` and `right` frames in all.
     """
-    return log(CHANCE) / log(damaged / (damaged + right)) if damaged and right else 0
+    return log(MAX_NOISE_CHANCE) / log(damaged / (damaged + right)) if damaged and right else 0
 
 
 def _is_wrong(stretch: _Stretch) -> bool:
     is_long = stretch.last_ns - stretch.first.ts_ns >= SHORTEST_NS
-    is_enough = stretch.size >= ENOUGH_BYTES and stretch.pieces >= ENOUGH_PIECES
+    is_enough = stretch.size >= MIN_STRETCH_BYTES and stretch.pieces >= MIN_STRETCH_PIECES
     return is_long and is_enough and not stretch.is_readable

@@ -12,13 +12,13 @@ answers.
 #              in their order: a gateway with one line. A request waits if a request of another
 #              master was sent before it and is answered WAIT_NS or more after it was sent; this
 #              time is its wait. The slave is shared if the latency of the requests of each poll
-#              rises with the wait, by as much (SLOPE), and if hardly a request (IN_ORDER) is
+#              rises with the wait, by as much (SLOPE), and if hardly a request (MIN_IN_ORDER) is
 #              answered before the one that it waited for. A server that handles requests in
 #              parallel shows no such rise.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
-#              and this request came SLOW_NS or more after the first one: the master had given the
-#              first one up. Nearly always it waited equally long. Masters that pipeline send
-#              requests at any time, so they are left out.
+#              and this request came SHORTEST_TIMEOUT_NS or more after the first one: the master
+#              had given the first one up. Nearly always it waited equally long. Masters that
+#              pipeline send requests at any time, so they are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
 # often, so none is the cause. A request that is answered before a slow one did not wait for it. A
@@ -26,9 +26,9 @@ answers.
 # of its cycle do not wait for each other (SERVED_NS). Waits for a unit that is much slower than the
 # others (SLOWER) are that unit's fault, and do not count.
 #
-# Memory: KEPT slow requests, and KEPT requests that may wait, for each of at most MAX_LINKS links;
-# the last RECENT requests and a few numbers for each of at most MAX_LINKS connections; MAX_EVIDENCE
-# cases for each unit.
+# Memory: KEPT_REQUESTS slow requests, and KEPT_REQUESTS requests that may wait, for each of at most
+# MAX_LINKS links; the last RECENT requests and a few numbers for each of at most MAX_LINKS
+# connections; MAX_EVIDENCE cases for each unit.
 
 from __future__ import annotations
 
@@ -52,38 +52,42 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
 
 SLOW_NS = 300_000_000
-"""Requests that take at least this long (ns), or get no answer, are kept for NET-BLOCKED. A next
-request that comes at least this long after a late one is a sign of NET-LATE."""
+"""Requests that take at least this long (ns), or get no answer, are kept for NET-BLOCKED."""
+SHORTEST_TIMEOUT_NS = 300_000_000
+"""If the next request comes at least this long (ns) after one without an answer so far, the master
+may have given that one up: a sign of NET-LATE."""
 LONGEST_NS = 10_000_000_000
 """A request that ends later than this (ns) after it was sent does not block the requests after
 it."""
 UNANSWERED_NS = 1_000_000_000
 """A gateway's line is taken as blocked for at least this long (ns) by a request without an answer,
 as the capture does not show when the gateway gave it up."""
-ENOUGH = 3
+MIN_CASES = 3
 """The least number of blocked requests of NET-BLOCKED, or of late answers of NET-LATE."""
-MORE = 2
+MIN_BLOCKED_RATIO = 2
 """A unit is the cause of NET-BLOCKED only if requests to others waited for it at least this many
 times as often as its requests waited for others."""
-MOSTLY = 0.5
-"""A share (0 to 1). A request was blocked if it spent at least this share of its wait on one
-request to another unit. A unit is a victim if at least this share of its slow requests was
-blocked."""
-EVEN = 0.15
+MIN_BLOCKED_WAIT = 0.5
+"""A request was blocked if one request to another unit took at least this share (0 to 1) of its
+wait for its turn."""
+MIN_BLOCKED_REQUESTS = 0.5
+"""A unit is a victim if at least this share (0 to 1) of its slow requests was blocked, both over
+the whole recording and while the other unit blocked requests."""
+WAIT_TOLERANCE = 0.15
 """Waits of a master count as its time-out if they differ from their median by at most this share
 (0 to 1)."""
 WAIT_NS = 40_000_000
 """A request waits for another master's request if that one is answered at least this long (ns)
 after it was sent."""
-ENOUGH_WAITS = 20
+MIN_WAITS = 20
 """NET-SHARED is reported from this many waiting requests on."""
-OFTEN = 0.1
+MIN_WAITING_SHARE = 0.1
 """NET-SHARED is reported only if at least this share (0 to 1) of the link's requests waits for
 another master's request."""
 SLOPE = (0.6, 1.5)
 """NET-SHARED is reported only if the rise of the latency with the wait (ns of latency for each ns
 of wait, from a linear fit) is in this range; 1 means that the wait is all of the delay."""
-IN_ORDER = 0.9
+MIN_IN_ORDER = 0.9
 """NET-SHARED is reported only if at least this share (0 to 1) of the waiting requests is answered
 after the request that they waited for."""
 SERVED_NS = 5_000_000
@@ -92,12 +96,12 @@ waited for) to its answer is at least this long (ns)."""
 SLOWER = 2.5
 """A unit whose median time from turn to answer is at least this many times that of the other units
 is slow by itself: requests that wait for it do not count for NET-SHARED."""
-KEPT = 5000
+KEPT_REQUESTS = 5000
 """At most this many slow requests, and this many requests that may wait, are kept for each link;
 beyond it, the oldest is forgotten."""
 RECENT = 8
 """The last transactions of a connection, or requests of a line, that a new one is compared with."""
-OF_TIMEOUT = 0.8
+MIN_TIMEOUT_SHARE = 0.8
 """NET-LATE is reported only if at least this share (0 to 1) of the times at which a master had two
 requests open follows the same wait, its time-out. A master that pipelines sends at other times,
 too."""
@@ -108,7 +112,7 @@ class _Slow(NamedTuple):
 
     begin_ns: int
     end_ns: int | None
-    """None if it was not answered."""
+    """The time at which the answer was complete; None if the request was not answered."""
     unit: int
     evidence: Evidence
 
@@ -119,7 +123,7 @@ class _BlockedRequest(NamedTuple):
     of: _Slow
     by: int
     turn_ns: int
-    """The time (ns since 1970) at which the request to `by` had its turn."""
+    """The time (ns since 1970) at which the gateway began to serve the request to `by`."""
     held_ns: int
     """The time in ns for which the request to `by` held up the line."""
 
@@ -158,7 +162,7 @@ class _SharedLink:
     """The master that was heard first."""
     masters: set[str] = field(default_factory=set)
     """All masters, once there are two."""
-    waiting: deque[_SlowRequest] = field(default_factory=lambda: deque(maxlen=KEPT))
+    waiting: deque[_SlowRequest] = field(default_factory=lambda: deque(maxlen=KEPT_REQUESTS))
 
 
 @dataclass(slots=True)
@@ -168,11 +172,11 @@ class _MasterTalk:
     )
     """The last transactions, and when each began."""
     overlaps: int = 0
-    """The number of requests that came while another one had no answer yet, counted until `late` is
-    full."""
+    """The number of requests that came while an earlier one had no answer yet, counted until `late`
+    is full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
-    """Pairs of a transaction whose answer came after the next request, and the time (ns) from it to
-    that request."""
+    """Pairs of a transaction whose answer came after the next request, and the time (ns) from the
+    first request to the next."""
 
 
 class Gateways(Sense):
@@ -237,7 +241,7 @@ class Gateways(Sense):
         if kept is None:
             if len(self._slow) >= MAX_LINKS:
                 return
-            kept = self._slow[link] = deque(maxlen=KEPT)
+            kept = self._slow[link] = deque(maxlen=KEPT_REQUESTS)
         kept.append(slow)
 
     def _note_overlap(self, one: NamedTransaction) -> None:
@@ -260,7 +264,7 @@ class Gateways(Sense):
                 waited_ns = second.start_ns - first.start_ns
                 if len(connection.late) < MAX_EVIDENCE:
                     connection.overlaps += 1
-                    if waited_ns >= SLOW_NS:
+                    if waited_ns >= SHORTEST_TIMEOUT_NS:
                         connection.late.append((first, waited_ns))
         connection.recent.append((begin_ns, one))
 
@@ -278,14 +282,14 @@ class Gateways(Sense):
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
             cases = _cases_with_equal_wait(connection.late)
-            if len(cases) >= OF_TIMEOUT * connection.overlaps:
+            if len(cases) >= MIN_TIMEOUT_SHARE * connection.overlaps:
                 for case in cases:
                     late.setdefault((case[0].link, case[0].unit), []).append(case)
         for (link, unit), cases in late.items():
             distinct = _cases_with_equal_wait(
                 [*{case[0].start_ns: case for case in cases}.values()]
             )
-            if link in whole and len(distinct) >= ENOUGH:
+            if link in whole and len(distinct) >= MIN_CASES:
                 yield _late_answers_trouble(link, unit, distinct, asked.get((link, unit), 0))
 
 
@@ -296,7 +300,7 @@ def _cases_with_equal_wait(
     if not cases:
         return []
     usual_ns = median(waited_ns for _, waited_ns in cases)
-    return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
+    return [case for case in cases if abs(case[1] - usual_ns) <= WAIT_TOLERANCE * usual_ns]
 
 
 def _late_answers_trouble(
@@ -322,7 +326,10 @@ def _masters_wait_trouble(link: LinkReport, shared: _SharedLink) -> Iterator[Tro
     holders = _slower_units(shared.waiting, waits)
     waits = [one for one in waits if one.before.unit not in holders]
     number, asked = len(waits), link.tally.requests
-    if number < max(ENOUGH_WAITS, OFTEN * asked) or overtakes > (1 - IN_ORDER) * number:
+    if (
+        number < max(MIN_WAITS, MIN_WAITING_SHARE * asked)
+        or overtakes > (1 - MIN_IN_ORDER) * number
+    ):
         return
     groups: dict[tuple[str, int, int | None], list[_SharedWait]] = {}
     for one in waits:
@@ -407,13 +414,14 @@ def _blocked_troubles(link: LinkReport, slow: Sequence[_Slow]) -> Iterator[Troub
         first_ns, last_ns = blocked[0].of.begin_ns, blocked[-1].of.begin_ns
         then = Counter(one.unit for one in slow if first_ns <= one.begin_ns <= last_ns)
         back = sum(first_ns <= at_ns <= last_ns for at_ns in of_unit.get(unit, ()))
-        if len(blocked) < ENOUGH or len(blocked) < MORE * back:
+        if len(blocked) < MIN_CASES or len(blocked) < MIN_BLOCKED_RATIO * back:
             continue
         victims = Counter(one.of.unit for one in blocked)
         told = sorted(
             number
             for number, count in victims.items()
-            if count >= MOSTLY * then[number] and len(of_unit[number]) >= MOSTLY * own[number]
+            if count >= MIN_BLOCKED_REQUESTS * then[number]
+            and len(of_unit[number]) >= MIN_BLOCKED_REQUESTS * own[number]
         )
         if not told:
             continue
@@ -453,7 +461,7 @@ def _blocked_requests(slow: Iterable[_Slow]) -> Iterator[_BlockedRequest]:
             if one.begin_ns < end <= end_ns and end - turn >= SLOW_NS
         ]
         longest_ns, turn, end, unit = max(waited, default=(0, 0, 0, one.unit))
-        if unit != one.unit and longest_ns >= MOSTLY * (turn_ns - one.begin_ns):
+        if unit != one.unit and longest_ns >= MIN_BLOCKED_WAIT * (turn_ns - one.begin_ns):
             yield _BlockedRequest(one, unit, turn, end - turn)
         if turn_ns < end_ns <= one.begin_ns + LONGEST_NS:
             recent.append((turn_ns, end_ns, one.unit))

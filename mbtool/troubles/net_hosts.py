@@ -1,6 +1,7 @@
 """Finds NET-TWO-MACS and NET-ROLE: hosts with two MAC addresses, slaves that send requests."""
 
-# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times (in packets from the host or to
+# NET-TWO-MACS  A host has two MAC addresses, each seen MIN_MAC_USES times (in packets from the host
+# or to
 #               it), and talks with a host of its own network (equal first three numbers of the IPv4
 #               address). So another machine answers in its place (ARP spoofing), or two devices
 #               have one IP address. Hosts of other networks are left out: they have the MAC address
@@ -37,7 +38,7 @@ MAX_HOSTS = 4096
 """Addresses are kept for at most this many hosts; further hosts are ignored."""
 MAX_MACS = 4
 """At most this many MAC addresses are kept for each host."""
-ENOUGH = 3
+MIN_MAC_USES = 3
 """A MAC address of a host counts for NET-TWO-MACS only if it was seen in at least this many
 transactions."""
 LATER_NS = 30_000_000_000
@@ -61,15 +62,15 @@ class _Mac:
 class _SeenHost:
     macs: dict[str, _Mac] = field(default_factory=dict)
     is_local: bool = False
-    """True if it talked with a host of its own network."""
+    """True if the host talked with a host of its own network."""
     link: str = ""
     slave_ns: int | None = None
-    """The time (UTC ns) of its first answer as a slave."""
+    """The time (UTC ns) of the host's first answer as a slave."""
     master_ns: int | None = None
-    """The time (UTC ns) of its first request."""
+    """The time (UTC ns) of the host's first request."""
     requests: int = 0
     asked: str = ""
-    """The slave that it asked first."""
+    """The slave to which the host sent its first request."""
     cases: list[Evidence] = field(default_factory=list)
     mac_cases: list[Evidence] = field(default_factory=list)
 
@@ -133,7 +134,7 @@ class Hosts(Sense):
             link = host.link if host.link in known else host.asked
             if link not in known:
                 continue
-            macs = {mac: one for mac, one in host.macs.items() if one.count >= ENOUGH}
+            macs = {mac: one for mac, one in host.macs.items() if one.count >= MIN_MAC_USES}
             if len(macs) > 1 and host.is_local and not _was_replaced(macs, owners):
                 often = sorted(macs, key=lambda mac: -macs[mac].count)
                 yield Trouble(

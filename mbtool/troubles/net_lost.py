@@ -47,11 +47,11 @@ if TYPE_CHECKING:
 # Memory: MAX_EVIDENCE cases and PENDING retransmissions for each of at most MAX_LINKS masters of a
 # link.
 
-ENOUGH = 3
+MIN_RETRANSMISSIONS = 3
 """NET-LOSSY is reported from this many retransmissions on, or from HELD_NS on."""
 HELD_NS = 1_000_000_000
-"""NET-LOSSY is also reported for fewer than ENOUGH retransmissions if an answer came this long (ns)
-or longer after its request, and something was sent again in between."""
+"""NET-LOSSY is also reported for fewer than MIN_RETRANSMISSIONS retransmissions if an answer came
+this long (ns) or longer after its request, and something was sent again in between."""
 PENDING = 64
 """At most this many retransmissions wait for an answer after them; further ones are not counted."""
 
@@ -119,7 +119,7 @@ class LossyPaths(Sense):
         whole = {link.name: link.tally for link in links if link.is_whole}
         for (link, master), path in self._paths.items():
             tally = whole.get(link)
-            if tally is None or (path.count < ENOUGH and path.held_ns < HELD_NS):
+            if tally is None or (path.count < MIN_RETRANSMISSIONS and path.held_ns < HELD_NS):
                 continue
             held = f", an answer took {duration(path.held_ns)} then" if path.held_ns else ""
             messages = tally.requests + sum(map(tally.count, RESPONDED))
@@ -132,12 +132,12 @@ class LossyPaths(Sense):
             )  # fmt: skip
 
 
-FEW = 3
+MIN_LOST = 3
 """NET-LOST is a note if fewer connections than this were lost."""
-MOSTLY = 0.9
+MIN_RESET_SHARE = 0.9
 """NET-LOST is a note if at least this share (0 to 1) of a master's connections is reset while no
 request is open: the master ends its connections by a reset."""
-BLAMED = 0.5
+MIN_CUT_SHARE = 0.5
 """If at least this share (0 to 1) of a unit's missing answers is missing because the connection was
 reset, NET-LOST is their cause, and the unit has no trouble of its own."""
 SHORTEST_PAUSE_NS = 100_000_000
@@ -241,8 +241,9 @@ def _trouble(
     whole = tally.opened + tally.joined + tally.refused
     parts = [f"{tally.resets:,} reset"] if tally.resets else []
     parts += [f"{tally.refused:,} refused"] if tally.refused else []
-    is_habit = not tally.refused and lost >= MOSTLY * whole and lost >= FEW and not master.cut
-    units = [unit for unit, cut in master.cut.items() if cut >= BLAMED * missing[unit]]
+    is_often = lost >= MIN_LOST and lost >= MIN_RESET_SHARE * whole
+    is_habit = is_often and not tally.refused and not master.cut
+    units = [unit for unit, cut in master.cut.items() if cut >= MIN_CUT_SHARE * missing[unit]]
     return Trouble(
         code="NET-LOST",
         link=link.name,
@@ -250,7 +251,7 @@ def _trouble(
         count=lost,
         of=whole,
         weight=lost,
-        is_small=lost < FEW or is_habit,
+        is_small=lost < MIN_LOST or is_habit,
         victims=tuple(units) or (NOBODY,),
         figures={
             "connections": f"{counted(lost, 'connection', ',')} of {name or 'masters'}",

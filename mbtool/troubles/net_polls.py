@@ -10,8 +10,8 @@
 #                  quick. If all polls of a slave take this time, the slave may need it, and no
 #                  trouble is reported.
 #
-# Memory: a few numbers, MAX_EVIDENCE cases and TIMES times for each of at most MAX_LINKS senders of
-# messages in two parts. The account (ledger/account.py) has the other figures.
+# Memory: a few numbers, MAX_EVIDENCE cases and KEPT_TIMES times for each of at most MAX_LINKS
+# senders of messages in two parts. The account (ledger/account.py) has the other figures.
 
 from __future__ import annotations
 
@@ -34,20 +34,26 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.cases import Cases
 
-ENOUGH = 10
+MIN_CASES = 10
 """The least number of cases (transactions with a missing half, delayed messages, or answers of a
 poll). With fewer, no trouble is reported."""
-MOSTLY = 0.8
-"""The least share (0 to 1) of the cases among all transactions, messages or answers. With a smaller
-one, no trouble is reported."""
-FEW_CUT = 0.1
+MIN_CASES_SHARE = 0.8
+"""The least share (0 to 1) of the cases among all transactions or messages. With a smaller one, no
+trouble is reported."""
+MIN_SIDE_SHARE = 0.8
+"""NET-ONE-SIDE is reported only if at least this share (0 to 1) of the transactions has the same
+half, the request or the response."""
+MIN_TIMER_SHARE = 0.8
+"""A poll is slow by a timer only if at least this share (0 to 1) of its answers takes at least the
+shortest time of a range in TIMERS_NS."""
+MAX_CUT_SHARE = 0.1
 """NET-ONE-SIDE is reported only if events about cut or missing bytes are at most this share
 (0 to 1) of the link's transactions: a capture with many such losses does not show that one
 direction is absent."""
 TIMERS_NS = ((36_000_000, 46_000_000), (185_000_000, 225_000_000))
 """Two ranges of time (least, greatest; ns): around 40 ms, the delayed acknowledgement of Linux, and
 around 200 ms, that of Windows. Times in a range are taken for such a delay."""
-TIMES = 200
+KEPT_TIMES = 200
 """The last times (ns) that are kept of each sender, for the median that the trouble shows."""
 QUICK_NS = 20_000_000
 """Slow polls of a unit are reported only if another poll of the same unit has a median latency
@@ -62,8 +68,8 @@ class _Parts:
     count: int = 0
     delayed: int = 0
     """The number of messages whose second part came after a time in one of TIMERS_NS."""
-    times: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
-    """The times (ns) between their parts."""
+    times: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT_TIMES))
+    """The times (ns) between the parts of one message."""
     cases: list[Evidence] = field(default_factory=list)
 
 
@@ -106,7 +112,7 @@ class NetworkPolls(Sense):
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         for link in links:
             if not link.is_serial and link.is_whole:
-                if self._cut[link.name] <= FEW_CUT * link.tally.transactions:
+                if self._cut[link.name] <= MAX_CUT_SHARE * link.tally.transactions:
                     yield from _one_side_trouble(link)
                 found = [*self._delayed_parts_troubles(link)]
                 yield from found
@@ -119,7 +125,7 @@ class NetworkPolls(Sense):
 
     def _delayed_parts_troubles(self, link: LinkReport) -> Iterator[Trouble]:
         for (name, who), parts in self._parts.items():
-            if name != link.name or parts.delayed < max(ENOUGH, MOSTLY * parts.count):
+            if name != link.name or parts.delayed < max(MIN_CASES, MIN_CASES_SHARE * parts.count):
                 continue
             unit = who if isinstance(who, int) else None
             tallies = [one.tally for one in link.functions if unit in (None, one.unit)]
@@ -140,11 +146,11 @@ class NetworkPolls(Sense):
 def _one_side_trouble(link: LinkReport) -> Iterator[Trouble]:
     tally = link.tally
     whole, lacking = tally.transactions, tally.count(Outcome.NOT_CAPTURED)
-    if lacking < ENOUGH or lacking < MOSTLY * whole or any(map(tally.count, RESPONDED)):
+    if lacking < MIN_CASES or lacking < MIN_CASES_SHARE * whole or any(map(tally.count, RESPONDED)):
         return
-    if tally.requests >= MOSTLY * whole:
+    if tally.requests >= MIN_SIDE_SHARE * whole:
         side, other = "requests", "responses"
-    elif tally.requests <= (1 - MOSTLY) * whole:
+    elif tally.requests <= (1 - MIN_SIDE_SHARE) * whole:
         side, other = "responses", "requests"
     else:
         return
@@ -157,7 +163,7 @@ def _one_side_trouble(link: LinkReport) -> Iterator[Trouble]:
 def _delayed_polls_troubles(link: LinkReport, cases: Cases) -> Iterator[Trouble]:
     by_unit: dict[int, list[PollStatistics]] = {}
     for one in link.polls:
-        if one.poll.tally.latency.count >= ENOUGH:
+        if one.poll.tally.latency.count >= MIN_CASES:
             by_unit.setdefault(one.poll.key.unit, []).append(one.poll)
     for unit, polls in by_unit.items():
         slow = [poll for poll in polls if _is_timer(poll)]
@@ -182,7 +188,7 @@ def _is_timer(poll: PollStatistics) -> bool:
     Some answers may come earlier: another segment that was sent carried the acknowledgement.
     """
     latency = poll.tally.latency
-    low, high = latency.percentile(100 * (1 - MOSTLY)), latency.percentile(90)
+    low, high = latency.percentile(100 * (1 - MIN_TIMER_SHARE)), latency.percentile(90)
     return any(least <= low and high <= greatest for least, greatest in TIMERS_NS)
 
 

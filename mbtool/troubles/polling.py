@@ -81,7 +81,7 @@ class LateUnit:
     number: int
     """The number of late answers."""
     answers: int
-    """The number of all answers of the polls that have late ones."""
+    """The number of all answers, late or not, of the polls in `polls`."""
     longest_ns: int
     usual_ns: int
     """The median latency of the poll with most late answers."""
@@ -118,7 +118,7 @@ def polling_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trou
     polls = [one.poll for link in links for one in link.polls]
     connections = {(link.name, master): one for link in links for master, one in link.connections}
     requests = {link.name: link.tally.requests for link in links}
-    yield from map(_paused, pauses(polls))
+    yield from map(_pause_trouble, pauses(polls))
     yield from map(
         _short_connections_trouble,
         short_connections(connections, polls, lambda link: requests[link]),
@@ -126,7 +126,7 @@ def polling_troubles(links: Sequence[LinkReport], cases: Cases) -> Iterator[Trou
     yield from (_late_answers_trouble(one, cases) for one in late_units(polls))
 
 
-def _paused(one: PollingPause) -> Trouble:
+def _pause_trouble(one: PollingPause) -> Trouble:
     longest = duration(one.longest_ns)
     how = f"for {longest}" if one.number == 1 else f"{one.number:,} times, for up to {longest}"
     figures = {

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 K = TypeVar("K")
 
-SLOW = 3
+SLOW_RATIO = 3
 """A unit is slow if its median latency is at least this many times the usual one. The usual one is
 the median latency of another unit, which most of the others do not exceed. The latency must also be
 at least SLOW_NS."""
@@ -20,21 +20,21 @@ SLOW_NS = 50_000_000
 within 5 ms, many others within 40 ms."""
 GRAVE_NS = 100_000_000
 """A slow unit with a lower median latency (ns) than this is a note, as masters wait longer."""
-ENOUGH_ANSWERS = 5
+MIN_ANSWERS = 5
 """Units with fewer responses than this are ignored, as their median latency is not reliable."""
 
-_MANY = 3
+_MIN_MANY = 3
 """Slow units are probably another kind of device, not faulty, if there are at least this many and
-they are more than the share _FEW of all."""
-_FEW = 0.25
-"""The share (0 to 1) of all units that slow ones must exceed; see _MANY."""
+they are more than the share _MIN_MANY_SHARE of all."""
+_MIN_MANY_SHARE = 0.25
+"""The share (0 to 1) of all units that slow ones must exceed; see _MIN_MANY."""
 
 
 def are_many(slow: int, units: int) -> bool:
     """True if `slow` of `units` are at least 3 and more than 25 %: then they are probably another
     kind of device, and not faulty.
     """
-    return slow >= _MANY and slow > units * _FEW
+    return slow >= _MIN_MANY and slow > units * _MIN_MANY_SHARE
 
 
 def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, int]:
@@ -44,13 +44,13 @@ def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, int]:
     which most of the other units do not exceed.
     """
     medians = {
-        unit: one.percentile(50) for unit, one in latencies.items() if one.count >= ENOUGH_ANSWERS
+        unit: one.percentile(50) for unit, one in latencies.items() if one.count >= MIN_ANSWERS
     }
     in_order = sorted(medians.values())
     slow = {}
     for unit, own in medians.items():
         usual = _most_without(in_order, bisect_left(in_order, own))
-        if usual and own >= max(SLOW * usual, SLOW_NS):
+        if usual and own >= max(SLOW_RATIO * usual, SLOW_NS):
             slow[unit] = usual
     return slow
 

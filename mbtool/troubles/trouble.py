@@ -31,7 +31,7 @@ class Sureness(StrEnum):
     """How sure the cause of a trouble is."""
 
     CERTAIN = "certain"
-    """The recording proves it."""
+    """The recording proves the trouble."""
     LIKELY = "likely"
     """No other cause that is known fits the recording as well."""
     POSSIBLE = "possible"
@@ -45,7 +45,7 @@ class Evidence:
     ts_ns: int
     """The time of the request, or of the event, in ns since 1970."""
     text: str = ""
-    """What happened, in a few words; empty if the trouble says it."""
+    """The event in a few words; empty if the trouble already says it."""
     file: str | None = None
     packets: tuple[int, ...] = ()
     """The numbers of the packets in the file, from 1, as Wireshark counts them."""
@@ -77,7 +77,7 @@ class Trouble:
     """A row of words.py, such as LINE-LATE. A code never changes its meaning."""
     link: str
     unit: int | None = None
-    """The unit that has the trouble; None if it is the line's or a master's."""
+    """The unit that has the trouble; None if the line or a master has it."""
     master: str = ""
     """The master's host, where the trouble is a master's; empty on a serial line."""
     count: int = 1
@@ -85,9 +85,9 @@ class Trouble:
     of: int = 0
     """Out of how many in the same time; 0 if there is nothing to compare with."""
     since_ns: int | None = None
-    """The time of the first case (ns since 1970); None if it was there from the beginning."""
+    """The time of the first case (ns since 1970); None if there were cases from the beginning."""
     until_ns: int | None = None
-    """The time of the last case (ns since 1970); None if it has not ended."""
+    """The time of the last case (ns since 1970); None if the trouble lasted to the end."""
     is_long: bool = False
     """True if the recording takes a day or longer, so that times need a date."""
     is_small: bool = False
@@ -101,11 +101,12 @@ class Trouble:
     evidence: tuple[Evidence, ...] = ()
     """The first cases, at most MAX_EVIDENCE."""
     search: str = ""
-    """The filter that finds the cases in the table of a report; empty for the link's or unit's."""
+    """The filter that finds the cases in the table of a report; empty if the filter of the link or
+    unit finds them."""
     others: tuple[Trouble, ...] = ()
     """The troubles with the same code of other units, links or masters, the worst first."""
     victims: tuple[int, ...] = ()
-    """The units whose troubles this one explains, if they are others than `unit`."""
+    """The units whose troubles this trouble explains, if they are others than `unit`."""
     names_link: bool = False
     """True if the recording has several links, so that `who` needs the link."""
 

@@ -18,14 +18,14 @@ from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.troubles.failed_shares import (
-    FEW,
+    MIN_FAILED_SHARE,
     FailedShare,
     are_damaged,
     missing_share,
     never_answers,
     refused_share,
 )
-from mbtool.troubles.slow_units import ENOUGH_ANSWERS, GRAVE_NS, are_many, slow_units
+from mbtool.troubles.slow_units import GRAVE_NS, MIN_ANSWERS, are_many, slow_units
 from mbtool.troubles.trouble import Trouble, moment_text
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ class JointRefusals:
     of: int
     """The number of all units."""
     tally: RequestTally
-    """The counts of the units that refuse."""
+    """The counts of all units that refuse, added up."""
     scanned: int
-    """The number of different requests if they look like a scan, else 0."""
+    """The number of different requests if they look like a scan; otherwise 0."""
     master: str
     """The host that scans; empty if it is not known, or if there are several."""
 
@@ -165,7 +165,7 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     first = max(fast, default=-1) + 1
     since = bins[first:]
     is_over = len(since) < len(bins) // 8  # The unit became fast again.
-    if not first or is_over or sum(one.answered for one in since) < ENOUGH_ANSWERS:
+    if not first or is_over or sum(one.answered for one in since) < MIN_ANSWERS:
         return None
 
     def slow_ns(one: UnitBin) -> int:
@@ -228,7 +228,8 @@ class _JudgedUnit:
     tally: RequestTally
     polls: Sequence[PollStatistics]
     times: UnitAccount | None
-    """None if the recording has no times, or if the unit never answers."""
+    """The times of the unit's requests; None if the recording has no times, or if the unit never
+    answers."""
     is_serial: bool
 
     def trouble(self, code: str, share: FailedShare, **figures: str) -> Trouble:
@@ -432,5 +433,5 @@ def _requests(share: FailedShare) -> str:
 
 def _part_text(share: FailedShare) -> str:
     """Return ` (26 %)`, to be put behind the requests; empty for all of them, or hardly any."""
-    is_told = FEW <= share.share < 1
+    is_told = MIN_FAILED_SHARE <= share.share < 1
     return f" ({percent(share.share)})" if is_told else ""

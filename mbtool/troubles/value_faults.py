@@ -109,27 +109,31 @@ jump."""
 RETURN_SHARE = 0.2
 """A value has returned from a jump only if it is then at most this share (0 to 1) of the jump's
 size away from where it was before."""
-WAY = 4
+MIN_RANGE_IN_STEPS = 4
 """A single jump without a return is reported only if the value's range, less the jump, is at least
-this many of its largest other steps: then the value moves over a long way in small steps."""
-BESIDE = 3
+this many times its largest other step: the value then moves over a wide range in small steps."""
+OTHER_JUMP = 3
 """A step of another value is a jump, too, if it is more than this many times as large as that
 value's third largest step. If another value jumps at the same time, no jump is reported."""
-MOST_BESIDE = 2
-"""Another value with more steps than this is judged by BESIDE, one with fewer by SELDOM."""
-SELDOM = 50
-"""A step of a value with at most MOST_BESIDE steps counts as a jump, too, if the value has at least
-this many answers for each of its steps."""
-FAR = 2
+MOST_OTHER_STEPS = 2
+"""Another value with more steps than this is judged by OTHER_JUMP, one with fewer by
+MIN_ROWS_PER_STEP."""
+MIN_ROWS_PER_STEP = 50
+"""A step of a value with at most MOST_OTHER_STEPS steps counts as a jump, too, if the value has at
+least this many answers for each of its steps."""
+NONE_DISTANCE = 2
 """A number that devices send instead of a value (such as FFFFH) is reported if its distance from
 the value's other numbers is more than this many times their range."""
 BACK_STEPS = 5
 """A fall of a counter is reported as VALUE-BACKWARDS if it is at least this many times as large as
 the counter's mean step."""
-BACK_SHARE = 0.1
-"""A share (0 to 1), used three times. A value is no counter if it falls more often than this share
-of its rises, or if it falls three times or more and these falls extend over more than this share of
-the answers. A fall to at most this share of the number before is VALUE-RESET."""
+MAX_FALLS_TO_RISES = 0.1
+"""A value is a counter only if it falls at most this many times for each of its rises."""
+MAX_FALLS_STRETCH = 0.1
+"""A value that falls three times or more is a counter only if the answers from its first fall to
+its last one are at most this share (0 to 1) of all."""
+RESET_SHARE = 0.1
+"""A fall of a counter to at most this share (0 to 1) of the number before is VALUE-RESET."""
 _MODULI = (
     12, 24, 60, 100, 256, 360, 1000, 1440, 3600, 4096, 10_000, 32_768, 43_200,
     65_536, 86_400, 100_000, 1_000_000, 10_000_000, 16_777_216, 99_999_999, 100_000_000,
@@ -180,7 +184,7 @@ class _FollowedAnswers:
         """The usual time from one answer to the next."""
         self.movements: Movements | None = None
         self.rested = 0
-        """The number of answers that were dropped, as nothing moved in them."""
+        """The number of answers that were dropped because no value changed in them."""
         self.is_left_out = False
         self.norm_ns: tuple[int, int] | None = None
         """The times (UTC ns) of the first and last answer of the baseline; None without one."""
@@ -234,7 +238,9 @@ class ValueFaults(Sense):
 
     @property
     def norm_remark(self) -> str | None:
-        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        """A sentence for the user if the baseline could not be used; None if it was used, or if
+        there is no baseline.
+        """
         if self._overlaps:
             return (
                 "the baseline and the checked captures have the same times; values with the same "
@@ -536,7 +542,7 @@ def _is_no_number(movements: Movements, place: int, unset: Occurrence) -> bool:
     away = max(low - unset.number, unset.number - high)
     if unset.number == (1 << 16 * movements.values[place].reading.words) - 1:
         away = min(away, low + 1)  # FFFFH may be -1, next to 0.
-    if not away <= FAR * (high - low):  # True for NaN as well.
+    if not away <= NONE_DISTANCE * (high - low):  # True for NaN as well.
         return True
     # Two steps may be larger than usual, as the number went on meanwhile.
     return away >= JUMP * movements.steps(place)[2].size
@@ -572,16 +578,16 @@ def _fall_case(movements: Movements, place: int) -> _Case | None:
     step, risen_before = first[0]
     mean = float(movements.risen[place]) / rises
     stretch = int(movements.last_fall[place]) - step.row + 1
-    is_once = falls <= 2 or stretch <= BACK_SHARE * movements.rows
+    is_once = falls <= 2 or stretch <= MAX_FALLS_STRETCH * movements.rows
     goes_on = rises - risen_before >= 2 or movements.rows - step.row <= RETURN_ROWS
-    if not is_once or not goes_on or risen_before < MOVES or falls > rises * BACK_SHARE:
+    if not is_once or not goes_on or risen_before < MOVES or falls > rises * MAX_FALLS_TO_RISES:
         return None
     if any(_goes_on_at_zero(value, one, mean) for one, _ in first):
         return None
     if _has_returned(movements, place):
         return None
     figures = {"before": value.shown(step.before), "after": value.shown(step.after)}
-    if 0 <= step.after <= BACK_SHARE * step.before:
+    if 0 <= step.after <= RESET_SHARE * step.before:
         return _Case("VALUE-RESET", value, step.at_ns, figures)
     if sum(one.size for one, _ in first) >= BACK_STEPS * mean:
         return _Case("VALUE-BACKWARDS", value, step.at_ns, figures)
@@ -649,7 +655,7 @@ def _do_return(jumps: Sequence[Move]) -> bool:
 
 def _is_slow(movements: Movements, place: int, jump: float, usual: float) -> bool:
     width = float(movements.high[place] - movements.low[place])
-    return width - jump >= WAY * usual
+    return width - jump >= MIN_RANGE_IN_STEPS * usual
 
 
 def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bool:
@@ -657,9 +663,9 @@ def _jumps_beside(movements: Movements, place: int, jumps: Sequence[Move]) -> bo
     reach = len(jumps) == 1
     for other in range(len(movements.values)):
         steps = movements.steps(other) if other != place else []
-        if len(steps) > MOST_BESIDE:
-            steps = [one for one in steps if one.size > BESIDE * steps[MOST_BESIDE].size]
-        elif len(steps) * SELDOM > movements.rows:
+        if len(steps) > MOST_OTHER_STEPS:
+            steps = [one for one in steps if one.size > OTHER_JUMP * steps[MOST_OTHER_STEPS].size]
+        elif len(steps) * MIN_ROWS_PER_STEP > movements.rows:
             continue
         rows = [one.row for one in steps]
         if rows and all(any(abs(row - one.row) <= reach for row in rows) for one in jumps):

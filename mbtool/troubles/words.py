@@ -25,8 +25,8 @@ class Words:
     noun: str = "unit"
     """The noun by which several troubles with this code are counted: unit, link, master."""
     short: str = ""
-    """What is wrong in a few words, for the row of a unit or link, with names in braces as in
-    `cause`. If it is empty, the row shows the code."""
+    """The fault in a few words, for the row of a unit or link, with names in braces as in `cause`.
+    If it is empty, the row shows the code."""
     explains: tuple[str, ...] = ()
     """The codes of broken rules and other troubles that this trouble causes; they are not
     reported."""

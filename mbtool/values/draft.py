@@ -131,11 +131,11 @@ def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
             flag = _NO_RESPONSE | (_WRITTEN if request.writes else _READ)
         of_table = flags[request.table]
         for address in request.span if flag else ():
-            of_table[address] = _combined(of_table[address], flag)
+            of_table[address] = _combine_flags(of_table[address], flag)
     return flags
 
 
-def _combined(known: int, flag: int) -> int:
+def _combine_flags(known: int, flag: int) -> int:
     """Combine the flags of one address that follow from two requests: `known` and `flag`.
 
     _NO_RESPONSE stays only if neither request had a response.

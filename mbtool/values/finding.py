@@ -183,8 +183,8 @@ def find(wanted: Sequence[Wanted], slaves: Sequence[WordsOfSlave]) -> list[list[
     scores = [_place_scores(one, ideas) for one in wanted]
     nowhere = [_probability_if_absent(one) for one in wanted]
     for _ in range(_STRIDE_ROUNDS if len(wanted) > 2 else 0):
-        scores = _with_strides(scores, _balanced(scores, nowhere, ideas), ideas)
-    shares = _balanced(scores, nowhere, ideas)
+        scores = _with_strides(scores, _balanced_shares(scores, nowhere, ideas), ideas)
+    shares = _balanced_shares(scores, nowhere, ideas)
     return [
         sorted(
             (
@@ -497,7 +497,7 @@ def _are_alike(ideas: Sequence[_Idea], key: _Key, other: _Key) -> bool:
     )
 
 
-def _balanced(
+def _balanced_shares(
     scores: Sequence[_Shares], nowhere: Sequence[float], ideas: Sequence[_Idea]
 ) -> list[_Shares]:
     """Make probabilities of scores, so that no register is much more than one number."""
@@ -539,9 +539,9 @@ class ChangedPlace:
     """All numbers that it had before, in their order; for a text none."""
     after: Sequence[float]
     likelihood: float
-    """The probability that it is the one setting that was changed."""
+    """The probability (0 to 1) that this place is the one setting that was changed."""
     is_written: bool
-    """True if a master wrote it."""
+    """True if a master wrote this place."""
 
 
 def find_changed(slaves: Sequence[WordsOfSlave], begin_ns: int, end_ns: int) -> list[ChangedPlace]:

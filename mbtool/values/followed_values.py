@@ -35,7 +35,7 @@ class FollowedValue:
     name: str
     address: int
     at: int
-    """The index of its first register (or bit) in the answer."""
+    """The index in the answer of the value's first register (or bit)."""
     reading: WordReading
     scale: float = 1.0
     offset: float = 0.0
@@ -48,7 +48,8 @@ class FollowedValue:
     not_valid: tuple[tuple[int, int, str], ...] = ()
     """Mask, bits and text: if the masked bits of the register are these, a value is not valid."""
     is_state: bool = False
-    """True if its numbers or bits have meanings, so that it is no quantity."""
+    """True if the numbers or bits of the value have meanings, so that it is a state, not a
+    quantity."""
 
     def shown(self, number: float) -> str:
         """Return a number as text, with scale and unit."""

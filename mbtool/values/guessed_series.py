@@ -53,7 +53,7 @@ def with_guesses(
             if (one.link, one.unit) == (first.key.link, first.key.unit)
             and first.key.name.startswith(write_reference(None, one.table, 0)[:-1])
         ]
-        for judged, own, history in _judged(registers, asked):
+        for judged, own, history in _judged_numbers(registers, asked):
             made = _series_of(judged, own, history)
             if made is not None:
                 joined[own[0].key] = made
@@ -103,7 +103,7 @@ def _ranges(series: Mapping[SeriesKey, ValueSeries]) -> Iterator[list[_Register]
                 start = at
 
 
-def _judged(
+def _judged_numbers(
     registers: Sequence[_Register], asked: Sequence[range]
 ) -> Iterator[tuple[Judged, Sequence[_Register], WordHistory]]:
     """Give the numbers of a range that are sure, each with its registers and their words."""

@@ -69,8 +69,9 @@ registers."""
 _SMALL = 256
 """A constant register with less than this, beside one of _LARGE_SPREAD, may be the high half of its
 number."""
-_FILLING = (0, 0xFFFF)
-"""The values of a high half whose number of two registers is small, positive or negative."""
+_SIGN_EXTENSION = (0, 0xFFFF)
+"""The two values that the high half of a number of two registers has if the number fits the low
+half: 0, and FFFFH if the number is negative."""
 
 
 def doubtful(
@@ -105,7 +106,7 @@ def doubtful(
             columns[other.at][0]
             for other, _ in beside
             if all(map(_is_constant, columns[other.at : other.at + other.words]))
-            and (other.kind is Kind.WORD or columns[other.at][0] in _FILLING)
+            and (other.kind is Kind.WORD or columns[other.at][0] in _SIGN_EXTENSION)
         ]
         if candidate.kind is Kind.WORD:
             found.append(_is_doubtful_word(columns[candidate.at], fillings))
@@ -114,7 +115,7 @@ def doubtful(
             is_evident = _is_evident(candidate, order, columns)
             moves = not all(map(_is_constant, columns[candidate.at : candidate.at + 2]))
             is_settled = moves and (is_evident or vouched)
-            found.append(not is_settled or any(one in _FILLING for one in fillings))
+            found.append(not is_settled or any(one in _SIGN_EXTENSION for one in fillings))
         else:
             found.append(False)
     return found
@@ -124,7 +125,7 @@ def _is_doubtful_word(column: Sequence[int], beside: Sequence[int]) -> bool:
     if _is_constant(column):
         return True
     is_wide = max(column) - min(column) >= _LARGE_SPREAD
-    return any(one in _FILLING or (is_wide and one < _SMALL) for one in beside)
+    return any(one in _SIGN_EXTENSION or (is_wide and one < _SMALL) for one in beside)
 
 
 def _is_evident(candidate: Candidate, order: Order, columns: Sequence[Sequence[int]]) -> bool:
@@ -180,7 +181,7 @@ class WordHistory(NamedTuple):
     answers: int = 0
     """Number of answers (or writes) that had these registers; 0 if it is that of the rows."""
     is_written: bool = False
-    """True if a master writes them; False if it reads them."""
+    """True if a master writes the registers; False if it reads them."""
     is_asked: bool = True
     """False if the range is put together, and no request asks for just it."""
 
@@ -383,28 +384,28 @@ def judge(histories: Sequence[WordHistory]) -> list[Judged]:
         found: dict[Kind, float] = dict.fromkeys(Kind, 0.0)
         found_orders: dict[Order, float] = dict.fromkeys(Order, 0.0)
         for one in ranges:
-            priced = [_priced(candidate, orders) for candidate in one.candidates]
+            priced = [_with_order_costs(candidate, orders) for candidate in one.candidates]
             one.division = divide(len(one.span), priced, shares)
             for candidate, likelihood in one.division.likelihoods:
                 found[candidate.kind] += likelihood
                 if candidate.kind in _TYPES and likelihood > 0.01:
                     for order, share in _order_shares(candidate).items():
                         found_orders[order] += likelihood * share
-        shares = _pooled(SHARES, found)
-        orders = _pooled(_ORDERS, found_orders)
+        shares = _pool_shares(SHARES, found)
+        orders = _pool_shares(_ORDERS, found_orders)
     is_signed = any(_goes_below_zero(one) for one in ranges)
-    judged = [part for one in ranges for part in _judged(one, is_signed=is_signed)]
+    judged = [part for one in ranges for part in _judged_values(one, is_signed=is_signed)]
     return sorted(judged, key=lambda one: (list(Table).index(one.table), one.address))
 
 
-def _pooled(usual: Mapping[Key, float], found: Mapping[Key, float]) -> dict[Key, float]:
+def _pool_shares(usual: Mapping[Key, float], found: Mapping[Key, float]) -> dict[Key, float]:
     total = sum(found.values()) + _KNOWN_VALUES
     return {
         key: (share * _KNOWN_VALUES + found.get(key, 0.0)) / total for key, share in usual.items()
     }
 
 
-def _priced(candidate: Candidate, orders: Mapping[Order, float]) -> Candidate:
+def _with_order_costs(candidate: Candidate, orders: Mapping[Order, float]) -> Candidate:
     """Add the costs of the orders to a candidate of several registers."""
     if candidate.kind not in _TYPES:
         return candidate
@@ -462,7 +463,7 @@ def _free(span: range, taken: Collection[int]) -> Iterator[range]:
         yield range(start, span.stop)
 
 
-def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
+def _judged_values(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
     """Give the values of a range. With `is_signed`, whole numbers of the device may be negative."""
     before: WordReading | None = None
     doubts = doubtful(

@@ -61,7 +61,7 @@ class Rest(NamedTuple):
     rows: int
     begin_ns: int
     end_ns: int | None
-    """None if it has not changed until now."""
+    """The time at which the value changed again; None if it has not changed until now."""
     others: int
     """The number of changes of other values during this rest."""
     value: float

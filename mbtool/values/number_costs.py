@@ -31,9 +31,9 @@ IMPOSSIBLE = math.inf
 """The cost in bits of a type that no device would use for the series."""
 MOST_DECIMALS = 5
 """Floats are tried as decimal numbers with at most this many digits after the point."""
-_FEW_OF_32_BITS, _FEW_OF_64_BITS = 2_000_000, 1e14
-"""A float has few decimals only if the number without its point is below this: a larger float of 32
-(64) bits looks as if it had few decimals whatever it is."""
+_DECIMALS_LIMIT_32, _DECIMALS_LIMIT_64 = 2_000_000, 1e14
+"""A float of 32 (64) bits says something by having few decimals only if the number without its
+decimal point is below this limit: every larger float looks as if it had few decimals."""
 _BEYOND_COUNTING = 30.0
 """Extra cost in bits of a whole number of 2^53 or more: nothing is measured or counted as high."""
 _HUGE = 6.0
@@ -191,7 +191,7 @@ def few_decimals(numbers: Sequence[float], bits: int) -> int | None:
 
     Every float of 32 bits has few decimals if it is large enough, which says nothing.
     """
-    most = _FEW_OF_32_BITS if bits == 32 else _FEW_OF_64_BITS
+    most = _DECIMALS_LIMIT_32 if bits == 32 else _DECIMALS_LIMIT_64
     greatest = max(map(abs, numbers))
     for decimals in range(MOST_DECIMALS + 1):
         if greatest * 10**decimals >= most:

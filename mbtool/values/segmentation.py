@@ -59,7 +59,7 @@ class Candidate(NamedTuple):
     """A part of a range that may be one value."""
 
     at: int
-    """The index of its first register in the range."""
+    """The index in the range of the number's first register."""
     words: int
     kind: Kind
     options: Sequence[Option]

@@ -26,7 +26,8 @@ from mbtool.values.finding import Sighting, Wanted
 MAX_SEEN = 10_000
 """A user can give at most this many numbers."""
 MAX_POWER = 30
-"""A number has digits from this power of ten down to its inverse."""
+"""The first digit of a number stands at most at this power of ten, and its last digit at least at
+the same power below zero: up to about 1e30, in steps of at least 1e-30."""
 AROUND_NS = 60 * SECOND_NS
 """A time of day up to this long before a recording (ns) is not one of the next day."""
 
@@ -68,7 +69,7 @@ class Seen(NamedTuple):
 
 
 def parse_seen(text: str) -> Seen:
-    """Read one number. Raises UsageError if the text is none."""
+    """Read one number. Raises UsageError if the text is no number."""
     name, _, rest = text.rpartition("=")
     match = _SEEN.fullmatch(rest.strip())
     if match is None:
@@ -95,7 +96,7 @@ def _number(number: str, text: str) -> tuple[float, float]:
 
 
 def parse_time(text: str) -> SeenTime:
-    """Read the time at which something was seen. Raises UsageError if the text is none."""
+    """Read the time at which something was seen. Raises UsageError if the text is no time."""
     clock = _CLOCK.fullmatch(text.strip())
     if clock is None:
         return SeenTime(parse_moment(text.strip(), "time"))

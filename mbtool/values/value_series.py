@@ -1,7 +1,7 @@
 """Collects the values of one register or point over time, in bounded memory."""
 
 # Only changes of the value are stored. If there are more than `limit`, the time is divided into
-# equal parts. Of each part, only the first, least, greatest and last value are kept, so that no
+# equal parts. Only the first, least, greatest and last value of each part are kept, so that no
 # extreme is lost.
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class ValueSeries:
         if text is not None and len(self.texts) < MAX_TEXTS:
             self.texts.setdefault(value, text)
         if len(self.samples) > self._limit:
-            self.samples = thinned(self.samples, self._limit // 2)
+            self.samples = thin_samples(self.samples, self._limit // 2)
 
     def add_all(self, times_ns: Sequence[int], values: Sequence[int]) -> None:
         """Add the values seen at these times (ns), which are in order, with the same result as
@@ -112,10 +112,10 @@ class ValueSeries:
             self.changes += len(taken) - (not self.samples)
             self.samples += taken
             if len(self.samples) > self._limit:
-                self.samples = thinned(self.samples, self._limit // 2)
+                self.samples = thin_samples(self.samples, self._limit // 2)
 
 
-def thinned(samples: list[SeriesSample], most: int) -> list[SeriesSample]:
+def thin_samples(samples: list[SeriesSample], most: int) -> list[SeriesSample]:
     """Return at most `most` of the samples (`most` is 4 or more), in order of time.
 
     The time is divided into equal parts. Each part keeps its first, least, greatest and last value.

@@ -17,14 +17,13 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from mbtool.devices.references import write_reference
-from mbtool.ledger.answered_reads import ValueChanges
+from mbtool.ledger.answered_reads import AnsweredValues, ValueChanges
 from mbtool.modbus import FUNCTIONS
 from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
-    from mbtool.ledger.answered_reads import AnsweredValues
     from mbtool.modbus.tables import Table
 
 MAX_SERIES = 256

@@ -95,7 +95,7 @@ class PlaceColumns:
     def heading(self, record: NamedTransaction) -> str:
         """Return the heading of the next rows, beginning with `record`.
 
-        It has link, master and unit, except those that are columns. Of a shortened column it has
+        It has link, master and unit, except those that are columns. For a shortened column it has
         the part that all addresses share: `master 10.0.0.*`.
         """
         link, master, unit = self._last

@@ -1,9 +1,9 @@
 """Lays out tables of statistics as lines; the first column is as wide as the others allow."""
 
 # On a terminal, columns with the highest rank are left out until the first column has room for its
-# longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". On a
-# pipe (width None) no column is left out, no text is cut, and the first column has at least
-# PIPE_FIRST characters.
+# longest text or for ENOUGH_WIDTH characters. A text that is still too long is cut and ends in
+# "..". On a pipe (width None) no column is left out, no text is cut, and the first column has at
+# least PIPE_FIRST characters.
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def request_text(poll: PollStatistics) -> str:
     return f"{key.function:02X} {what}"
 
 
-ENOUGH = 34
+ENOUGH_WIDTH = 34
 PIPE_FIRST = 40
 _MORE = ".."
 _KEPT = "\0%"
@@ -102,7 +102,7 @@ def table_lines(
     """
     kept = [*range(len(columns))]
     longest = max(len(one.first) for one in (StatisticsRow(title, ()), *rows))
-    while width is not None and _room(columns, kept, width) < min(longest, ENOUGH):
+    while width is not None and _room(columns, kept, width) < min(longest, ENOUGH_WIDTH):
         rank = max(columns[at].rank for at in kept)
         if rank == 0:
             break
@@ -132,12 +132,12 @@ def _line(
     *,
     is_cut: bool,
 ) -> str:
-    first = shortened(row.first, room) if is_cut else printable(row.first)
+    first = shorten(row.first, room) if is_cut else printable(row.first)
     cells = [row.cells[at].rjust(columns[at].width) for at in kept]
     return " ".join((first.ljust(room), *cells)).rstrip()
 
 
-def shortened(text: str, room: int | None) -> str:
+def shorten(text: str, room: int | None) -> str:
     """Return a text of at most `room` characters; a longer text is cut and ends in `..`.
 
     With `room` None, as on a pipe, no text is cut.

@@ -24,7 +24,7 @@ from mbtool.views.statistics_columns import (
     more_line,
     per_second,
     poll_text,
-    shortened,
+    shorten,
     table_lines,
     wrapped,
 )
@@ -162,7 +162,7 @@ def _polls_repeated_in_cycle(one: PollList[PollStatistics], width: int | None) -
     if not one.repeated:
         return []
     texts = "; ".join(f"{poll_text(poll)} x{one.polls.count(poll)}" for poll in one.repeated)
-    return [StyledLine(shortened(f"  more than once a cycle: {texts}", width), "yellow")]
+    return [StyledLine(shorten(f"  more than once a cycle: {texts}", width), "yellow")]
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
@@ -178,7 +178,7 @@ def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> 
             between = sorted(master.lists.between.items(), key=lambda one: -one[1])
             if between and master.lists.lists:
                 texts = ", ".join(f"{poll_text(poll)} x{count:,}" for poll, count in between)
-                lines.append(StyledLine(shortened(f"in no cycle{of}{at}: {texts}", width)))
+                lines.append(StyledLine(shorten(f"in no cycle{of}{at}: {texts}", width)))
     if len(links) == len(links[0].masters) == 1:
         timeout_ns = links[0].masters[0].lists.timeout_ns
         if timeout_ns is not None:
@@ -371,7 +371,7 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
         return []
     with_line = any(link.load is not None for link in links)
     columns = (*_POLLS, *missing, *((_LINE,) if with_line else ()))
-    has_failed = _failed(found[0][1].poll.tally) > 0
+    has_failed = _count_failed(found[0][1].poll.tally) > 0
     title = "polls: failed, slowest" if has_failed else "polls, slowest first"
     lines = table_lines(title, columns, rows, width)
     return lines + more_line(len(found), top, "polls")
@@ -379,10 +379,10 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
 
 def _failures_sort_key(tally: RequestTally) -> tuple[int, int]:
     """Return the sort key of a poll: those that failed most first, then the slowest."""
-    return -_failed(tally), -tally.latency.percentile(95)
+    return -_count_failed(tally), -tally.latency.percentile(95)
 
 
-def _failed(tally: RequestTally) -> int:
+def _count_failed(tally: RequestTally) -> int:
     return tally.count(Outcome.EXCEPTION) + tally.count(Outcome.MALFORMED) + tally.not_in_time
 
 
@@ -484,7 +484,7 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
         if width is not None and len(text) + len(other) + 2 > width:
             break
         text = f"{text}; {other}"
-    return [StyledLine(shortened(text, width))]
+    return [StyledLine(shorten(text, width))]
 
 
 def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:

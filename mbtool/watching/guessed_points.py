@@ -62,7 +62,7 @@ class GuessedPoints:
         return new
 
     def at(self, link: str, unit: int, table: Table, address: int) -> Judged | None:
-        """The number that a register belongs to; None if it is none, as far as is known."""
+        """The number that a register belongs to; None if nothing shows that it belongs to one."""
         return self._guesses.get((link, unit, table, address))
 
 

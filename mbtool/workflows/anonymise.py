@@ -109,7 +109,7 @@ class _Copy:
                 log.add_device(who, profile)
             for name in sorted(set(self._devices(head).values())):
                 log.add_profile(name, head.profiles[name])
-            items = self._conversion.reads(self._replaced(one, packets) for one in shown)
+            items = self._conversion.reads(self._replace_content(one, packets) for one in shown)
             events = sorted(self._conversion.events(), key=lambda one: one.ts_ns)
             for item in merge(items, events, key=lambda one: one.ts_ns):
                 if isinstance(item, WireEvent):
@@ -117,7 +117,7 @@ class _Copy:
                 else:
                     log.write(self._anonymous_item(item))
 
-    def _replaced(self, one: Shown, packets: AnonymousPackets) -> Shown:
+    def _replace_content(self, one: Shown, packets: AnonymousPackets) -> Shown:
         """Return a packet or the bytes of a link with their content replaced."""
         if isinstance(one, NumberedPacket):
             packet = replace(one.packet, data=packets.replaced(one.packet))
@@ -179,7 +179,7 @@ class _Copy:
 
     def _link(self, name: str, settings: dict[str, str]) -> str:
         """Return the new name of a link: that of a serial line is made from its number."""
-        link = _parsed(settings)
+        link = _parse_link(settings)
         if isinstance(link, TapLink):
             return self._tap(link).name
         is_serial = isinstance(link, SerialLink) or not settings
@@ -191,7 +191,7 @@ class _Copy:
     def _settings(self, name: str, settings: dict[str, str]) -> dict[str, str]:
         """Return those settings of a link that show only how to decode it."""
         kept = {key: value for key, value in settings.items() if key in (PORTS, RTU_PORTS)}
-        link = _parsed(settings)
+        link = _parse_link(settings)
         if isinstance(link, SerialLink):
             kept[SPEC] = str(SerialLink(self._link(name, settings), link.format, ascii=link.ascii))
         elif isinstance(link, TapLink):
@@ -226,7 +226,7 @@ def _replaced_bytes(piece: WirePiece, packets: AnonymousPackets) -> bytes:
     return made if len(made) == len(piece.data) else packets.other(piece.data)
 
 
-def _parsed(settings: Mapping[str, str]) -> LinkSpec | None:
+def _parse_link(settings: Mapping[str, str]) -> LinkSpec | None:
     """The LINK that the settings of a link name; None if they name none that can be read."""
     try:
         return parse_link(settings[SPEC])

@@ -139,7 +139,7 @@ class Changes:
 
     def since_last(self, pdu: bytes, now: NamedTransaction) -> NamedTransaction | None:
         """Return the transaction `now` if its result differs from that of the last request with
-        this PDU, or if there was none before; None if the result is the same.
+        this PDU, or if this is the first request with it; None if the result is the same.
 
         If both requests were answered with values, the returned transaction has only the points
         that changed, with texts for a table: `27.5 (was 27.3)`.
@@ -152,9 +152,9 @@ class Changes:
             return None
         if not before.outcome == now.outcome == Outcome.OK:
             return now
-        return msgspec.structs.replace(now, points=self._changed(before, now))
+        return msgspec.structs.replace(now, points=self._changed_points(before, now))
 
-    def _changed(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
+    def _changed_points(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
         olds, news = (points_of(one, self._profile) for one in (before, now))
         if len(olds) != len(news):  # `now` may answer another master's request.
             return news

@@ -260,7 +260,9 @@ class CheckRun:
 
     @property
     def norm_remark(self) -> str | None:
-        """A sentence for the user if the baseline could not be used; None if it was, or is none."""
+        """A sentence for the user if the baseline could not be used; None if it was used, or if
+        there is no baseline.
+        """
         return self._judge.norm_remark
 
     def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:

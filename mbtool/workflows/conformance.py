@@ -52,8 +52,8 @@ _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
 MOST_SILENT = 3
-"""After this many requests in a row without an answer, other requests are sent to see if the slave
-lives."""
+"""After this many requests in a row without an answer, other requests are sent to see whether the
+slave lives."""
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
 _LATE_NS = 3_000_000_000
 """An answer that does not come in time is waited for this much longer (ns), to tell a late one from
@@ -66,9 +66,13 @@ _RECOVERIES = 8
 _TRIES = 3
 """The answer to a frame with a pause inside or before it counts only if it is the same each of this
 many times: a slave on a busy computer may not see the pause."""
-_PAUSES = 8
-"""An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
-times, a machine with 22 processes for 2 cores made a false one."""
+_PAUSE_TRIES = 8
+"""An answer counts as one with a pause inside only if it has the pause each of this many times, as
+a busy machine makes pauses, too: with 3 times, a machine with 22 processes for 2 cores made a false
+one."""
+_TORN_TRIES = 8
+"""A frame with a pause inside is sent at most this many times: again after a pause that this
+machine made too long, and after a wrong answer."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
 _ASCII_PAUSE_NS = 500_000_000
@@ -81,7 +85,8 @@ _CONNECTIONS = 8
 SILENT_NS = 3_000_000_000
 """The time (ns) for which a TCP connection is left silent before it is used again."""
 _FREED_S = 0.1
-"""A slave has this time (s) to notice that connections were closed; several times over."""
+"""The time (s) between two of at most _RECOVERIES looks at whether the slave serves requests again,
+after many connections to it were closed."""
 
 
 _MOST_LOST = 2
@@ -96,7 +101,7 @@ class Result(StrEnum):
 
     PASSED = "passed"
     NOTE = "note"
-    """It deviates in a way that the standard allows, or that many devices share."""
+    """The slave deviates in a way that the standard allows, or that many devices share."""
     FAILED = "failed"
 
 
@@ -211,7 +216,7 @@ class Conformance:
             yield self.connections(self._wire)
             yield self.after_silence(self._wire)
         for span in writes:
-            yield from self._written(span)
+            yield from self._test_writes(span)
 
     # Requests in correct ADUs. The embedded slave answers them, too: its response is expected.
 
@@ -261,7 +266,7 @@ class Conformance:
         problem = self._problem(pdu, sent, heard, begin_ns)
         is_note = False
         if problem.endswith(_NO_ANSWER) and isinstance(self._link, SerialLink):
-            again = self._repeated(sent)
+            again = self._send_again(sent)
             if again.raw and not self._problem(pdu, sent, again, time.monotonic_ns()):
                 problem += ", and the right one when it was asked again"
                 self._lost += 1
@@ -274,13 +279,13 @@ class Conformance:
 
     def _pauses(self, pdu: bytes, heard: Heard) -> bool:
         """True if the answer pauses inside, and again each time that the request is repeated."""
-        for _ in range(_PAUSES):
+        for _ in range(_PAUSE_TRIES):
             if heard.longest_pause_ns < _LONGEST_PAUSE_NS:
                 return False
-            heard = self._repeated(self._wire.adu(self._unit, pdu))
+            heard = self._send_again(self._wire.adu(self._unit, pdu))
         return True
 
-    def _repeated(self, sent: bytes) -> Heard:
+    def _send_again(self, sent: bytes) -> Heard:
         """Send a request again. A late answer is awaited: the next request would get it."""
         heard = self._wire.send([sent])
         return heard if heard.raw or heard.is_closed else self._wire.hear(self._late_ns)
@@ -413,7 +418,7 @@ class Conformance:
         and it is sent again.
         """
         judged = 0
-        for _ in range(_PAUSES):
+        for _ in range(_TORN_TRIES):
             heard = self._wire.send(halves, pause_ns, awaited=note is None)
             is_right = _is_right(heard, self._good) if note is None else not heard.raw
             lasting = self._lasting_problem(forgiven=1)
@@ -589,7 +594,7 @@ class Conformance:
 
     # Writes, only where the user allows them.
 
-    def _written(self, span: Span) -> Iterator[CaseResult]:
+    def _test_writes(self, span: Span) -> Iterator[CaseResult]:
         reading = READS_OF_TABLE[span.table]
         writing = 5 if span.table.is_bits else 6
         for at in range(span.first, span.last + 1):

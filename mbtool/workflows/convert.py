@@ -70,8 +70,8 @@ T = TypeVar("T")
 
 DEVICE = "{device}"
 """In the name of the file to write, this stands for the name of a slave."""
-_NO_NAME = re.compile(r"[^\w.-]")
-"""The characters of a slave's name that a file's name does not get."""
+_UNFIT_FOR_FILE_NAME = re.compile(r"[^\w.-]")
+"""The characters of a slave's name that the name of a file must not have; each becomes `_`."""
 
 CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
 _REORDER_NS = 2_000_000_000
@@ -165,7 +165,7 @@ class Conversion:
         self._read_marks()
         groups = self._groups
         names = sorted({one for group in groups for one in group.marks.devices.values()})
-        paths = {name: out.replace(DEVICE, _NO_NAME.sub("_", name)) for name in names}
+        paths = {name: out.replace(DEVICE, _UNFIT_FOR_FILE_NAME.sub("_", name)) for name in names}
         for path in paths.values():
             check_path(Path(path), replace=overwrite)
         for name, path in paths.items():
@@ -241,7 +241,9 @@ class Conversion:
         are read side by side.
         """
         first, *others = self._groups
-        return _merged([first.records(watch), *(group.records() for group in others)], _record_ns)
+        return _merge_by_time(
+            [first.records(watch), *(group.records() for group in others)], _record_ns
+        )
 
     def _is_wanted(self, one: NamedTransaction) -> bool:
         if self._device is not None and device_of(one) != self._device:
@@ -278,7 +280,9 @@ class Conversion:
         """Yield what is written: the chosen packets, frames and bytes between frames of all
         captures, in the order of time.
         """
-        return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
+        return _merge_by_time(
+            [self._pieces(group) for group in self._groups], lambda one: one.ts_ns
+        )
 
     def _errors(self) -> list[NumberedPacket]:
         """Return packets that tell errors of serial lines, in the order of time; none if only some
@@ -293,7 +297,7 @@ class Conversion:
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
         read = CountedWork(group.marks.items, "packets", "writing")
         items = self._watch(read, read.counted(group.evidence()))
-        pieces = (one for one in _cut(group, items) if self._keeps(group, one))
+        pieces = (one for one in _cut_reads(group, items) if self._keeps(group, one))
         if any(key.connection is None and key.direction is not Direction.UNKNOWN
                for key in group.marks.frames):  # fmt: skip
             return _in_time_order(pieces)
@@ -387,7 +391,7 @@ class Conversion:
         """
         evidence: Iterator[LogItem] = _reads(self._items_to_write())
         records: Iterator[LogItem] = (one for one in self.records() if self._belongs(one))
-        keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
+        keyed = _with_sort_keys(evidence, _known_ns, 0), _with_sort_keys(records, _known_ns, 1)
         return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
 
     def _belongs(self, record: Record) -> bool:
@@ -410,7 +414,7 @@ class _Cut(NamedTuple):
     bytes."""
 
 
-def _cut(group: InputGroup, items: Iterable[Chunk | Packet | WireEvent]) -> Iterator[_Cut]:
+def _cut_reads(group: InputGroup, items: Iterable[Chunk | Packet | WireEvent]) -> Iterator[_Cut]:
     """Yield the packets of a capture with their comments, and the bytes of its serial reads cut
     into frames. `items` is the evidence of the capture.
     """
@@ -475,17 +479,17 @@ def _packet_of(piece: WirePiece, maker: PacketMaker, out: str) -> Packet:
     )
 
 
-def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:
+def _merge_by_time(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:
     """Merge several iterators by time; items of the same iterator keep their order. `time_of`
     returns the time (ns) of an item.
     """
     if len(parts) == 1:
         return parts[0]
-    keyed = [_keyed(part, time_of, index) for index, part in enumerate(parts)]
+    keyed = [_with_sort_keys(part, time_of, index) for index, part in enumerate(parts)]
     return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
 
 
-def _keyed(
+def _with_sort_keys(
     items: Iterable[T], time_of: Callable[[T], int], index: int
 ) -> Iterator[tuple[int, int, T]]:
     """Yield each item with a sort key: the latest time (ns) of the items so far, and `index`, the

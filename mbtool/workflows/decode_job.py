@@ -153,7 +153,7 @@ class DecodeJob:
         """The folder for a capture's Parquet file, below the output: the folders in the capture's
         path, without the leading ones that all patterns share.
         """
-        base = _shared(self.patterns)
+        base = _common_folders(self.patterns)
         return "/".join(file.path.split("/")[len(base) : -1])
 
 
@@ -170,7 +170,7 @@ def dask_cluster(address: str) -> DaskCluster:
     return DaskCluster(address, decode_run)
 
 
-def _shared(patterns: Sequence[str]) -> list[str]:
+def _common_folders(patterns: Sequence[str]) -> list[str]:
     """The names of the leading folders, from the root on, that are the same in all patterns and
     contain no `*`.
     """

@@ -227,7 +227,7 @@ def _module(link: TcpLink) -> Responder:
 
 
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
-    """Return a function that the sniffer calls to know if it shall stop.
+    """Return a function that the sniffer calls to know whether it shall stop.
 
     Its argument is the time in ns. It returns True when the masters have ended at least _QUIET_NS
     ago.

@@ -152,8 +152,8 @@ def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
 
 
 def _port_group() -> Iterator[MachineCheck]:
-    """Yield the check if the user may open serial ports, which on Debian means being in the group
-    dialout. Yield nothing on systems without that group.
+    """Yield the check whether the user may open serial ports, which on Debian means being in the
+    group dialout. Yield nothing on systems without that group.
     """
     if sys.platform != "linux":
         return

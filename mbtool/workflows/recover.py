@@ -33,9 +33,9 @@ def recover(
     """
     check_log_path(good, overwrite=replace)
     with suppress(OSError, ValueError):
-        if os.path.samefile(broken, good):
+        if os.path.samefile(0 if broken == "-" else broken, good):
             raise UsageError(f"{good}: the damaged log itself; give the new one another name")
-    with _opened(broken) as capture:
+    with _open_log(broken) as capture:
         if capture.kind is not CaptureKind.MCAP:
             raise InputError(f"{capture.name}: a capture, not a log (.mcap)")
         recovery = Recovery(capture.stream, capture.name, report)
@@ -68,7 +68,7 @@ def _time(ts_ns: int) -> str:
     return f"{day(ts_ns)} {clock_time(ts_ns)}"
 
 
-def _opened(path: str) -> CaptureFile:
+def _open_log(path: str) -> CaptureFile:
     """Open the log at `path`, even if its first bytes are damaged so that its kind is not
     recognised.
     """

@@ -41,7 +41,8 @@ _SCHEME = re.compile(r"(?:rtu|ascii|rtutap|asciitap|net|tap|(?:rtu\+)?(?:tcp|udp
 _NETWORK = re.compile(
     r"(?P<scheme>(?:rtu\+)?(?:tcp|udp)):\[?(?P<network>[0-9a-fA-F.:]+/\d{1,3})\]?(?::(?P<port>\d{1,5}))?"
 )
-_FEW = 6
+_MOST_NAMED = 6
+"""A text has at most this many names."""
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -351,5 +352,5 @@ def _free_address(rule: SiteRule, name: str, taken: set[Address]) -> Address:
 
 def _listed(places: Iterable[str]) -> str:
     names = list(dict.fromkeys(_name(place) for place in places))
-    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
-    return f"{', '.join(names[:_FEW])}{more}"
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"{', '.join(names[:_MOST_NAMED])}{more}"

@@ -71,11 +71,11 @@ class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     unit: _Unit
     sign: str
-    """The answer that it gave, as a table shows it."""
+    """The unit's answer that showed that it exists, as a table shows it."""
     answer: str = ""
     """The bytes of this answer from its unit on, in hexadecimal, without the unit."""
     identity: list[str] = []
-    """Its answers to 2B/0E, each as `name: text`."""
+    """The unit's answers to 2B/0E, each as `name: text`."""
     is_any: bool = False
     """True if the device gives the same answers under every unit number."""
 
@@ -147,7 +147,7 @@ class Scan:
         """Ask each unit; yield the number of each, asked or left out, after it."""
         for place in range(self.state.next_unit, len(numbers)):
             unit = numbers[place]
-            found = self._sign_of(unit)
+            found = self._probe_unit(unit)
             if found is not None:
                 self.state.units.append(found)
             self.state.next_unit = place + 1
@@ -165,11 +165,12 @@ class Scan:
         found = self.state.units
         if len(found) < _LEAST_SAME:
             return False
-        last = self._sign_of(numbers[-1])
+        last = self._probe_unit(numbers[-1])
         answers = {(one.answer, *one.identity) for one in (*found, *([last] if last else ()))}
         return last is not None and len(answers) == 1
 
-    def _sign_of(self, unit: int) -> FoundUnit | None:
+    def _probe_unit(self, unit: int) -> FoundUnit | None:
+        """Send the probes to a unit until one shows that it exists; None if none does."""
         for pdu in _PROBES:
             transaction = self._send(unit, pdu)
             if _is_sign(transaction):

@@ -216,7 +216,7 @@ class Sniffer:
         self._missing.note_item(item)
         if isinstance(item, WireEvent):
             self._report_event(item)
-        records = self._logged(self._decoder.feed(item))
+        records = self._log_records(self._decoder.feed(item))
         if self._recorder is not None:
             self._recorder.note_decoded(item)
         return records
@@ -249,7 +249,7 @@ class Sniffer:
                 yield from self._take(item)
         if not self._is_complete:
             self._is_complete = True
-            yield from self._logged(self._decoder.close())
+            yield from self._log_records(self._decoder.close())
             self._report_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
     def _leave(self, items: Sequence[Item]) -> None:
@@ -276,7 +276,7 @@ class Sniffer:
                 f"{counted(count, 'piece')} of what was heard not decoded, for lack of time{then}"
             )
 
-    def _logged(self, records: list[Record]) -> list[Record]:
+    def _log_records(self, records: list[Record]) -> list[Record]:
         for record in records:
             self._missing.note_record(record)
             if self._recorder is not None:

@@ -33,7 +33,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.logs import LogReader, LogWriter
 from mbtool.logs.chunks import ZSTD_DATA_AT
-from mbtool.logs.evidence_blocks import separated
+from mbtool.logs.evidence_blocks import unpack_reads
 from mbtool.logs.layout import RECORD_HEAD, Opcode
 from mbtool.logs.recovery import Recovery
 from tests.logs.samples import EVENT, NAMED, PACKET, SEGMENT, chunk, records_of, transaction
@@ -200,7 +200,7 @@ def _messages_by_chunk(data: bytes) -> list[list[StockMessage]]:
 def _items_of(messages: Counter[StockMessage]) -> int:
     """How many items the messages hold; points and findings are none."""
     return sum(
-        count * (len(separated(message.data)) if message.topic.endswith("/evidence") else 1)
+        count * (len(unpack_reads(message.data)) if message.topic.endswith("/evidence") else 1)
         for message, count in messages.items()
         if message.topic not in ("/points", "/findings")
     )

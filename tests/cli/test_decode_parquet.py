@@ -158,4 +158,6 @@ def test_points_goes_with_parquet_only(mbtool: CommandLine, tmp_path: Path) -> N
     said = mbtool("decode", SETUP, "-o", tmp_path / "a.csv", "--points", tmp_path / "b.parquet")
     assert said.code == 2
     assert "--points names a second file beside -o OUT.parquet" in said.err
+    one = (tmp_path / "a.parquet", "--points", f"{tmp_path}/./a.parquet")
+    assert "--points names a second file" in mbtool("decode", SETUP, "-o", *one).err
     assert list(tmp_path.iterdir()) == []

@@ -183,9 +183,9 @@ def differing_texts(
     rows = [one for one in records if not isinstance(one, WireEvent)]
     found = []
     for name, line_of, separator in (("jsonl", jsonl_line, ","), ("csv", csv_line, " ")):
-        for few in (1, plain_lines.FEW):
+        for few in (1, plain_lines.MIN_TEMPLATE_ROWS):
             lines = BlockLines(line_of, separator, namer_of(profile))
-            with patch.object(plain_lines, "FEW", few):
+            with patch.object(plain_lines, "MIN_TEMPLATE_ROWS", few):
                 text = "".join([lines.batch(one).text for one in blocks])
             if text != "".join(map(line_of, rows)):
                 found.append(f"{name}, templates from {few} rows on")

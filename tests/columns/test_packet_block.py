@@ -155,7 +155,7 @@ def test_interfaces_of_a_pcapng_file_keep_their_names_and_types() -> None:
 def test_blocks_hold_the_packets_of_a_pcapng_file(
     slowly: int, order: str, resolution: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(packet_block, "SLOWLY", slowly)
+    monkeypatch.setattr(packet_block, "SINGLY_READ_BLOCKS", slowly)
     monkeypatch.setattr(packet_block, "BLOCK_BYTES", 3000)
     capture = pcapng(Pcapng(order), {9: resolution})
     assert len(in_blocks(capture)[0]) == 168
@@ -179,7 +179,7 @@ def pcapng(blocks: Pcapng, options: dict[int, bytes]) -> bytes:
 def test_a_pcapng_file_that_is_cut_anywhere_gives_the_same_packets_and_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(packet_block, "SLOWLY", 3)
+    monkeypatch.setattr(packet_block, "SINGLY_READ_BLOCKS", 3)
     blocks = Pcapng()
     capture = blocks.section() + blocks.interface()
     capture += b"".join(blocks.enhanced(one.data, 7) for one in packets(5))
@@ -191,7 +191,7 @@ def test_a_pcapng_file_that_is_cut_anywhere_gives_the_same_packets_and_error(
 def test_a_damaged_packet_block_gives_the_same_packets_and_error(
     value: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(packet_block, "SLOWLY", 2)
+    monkeypatch.setattr(packet_block, "SINGLY_READ_BLOCKS", 2)
     blocks = Pcapng()
     capture = blocks.section() + blocks.interface()
     capture += b"".join(blocks.enhanced(one.data, 7) for one in packets(4))

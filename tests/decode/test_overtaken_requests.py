@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from mbtool.core import EventKind, WireEvent
 from mbtool.decode.pairing import (
     BUS_TIMEOUT_NS,
-    EVEN,
+    EVEN_ODDS,
     MAX_OF_UNIT,
     MAX_OPEN,
     Pairing,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 OK, NO_ANSWER, UNSOLICITED = Outcome.OK, Outcome.NO_ANSWER, Outcome.UNSOLICITED
 LATE = Outcome.LATE
 SURE: tuple[list[Verdict], float] = ([], 1.0)
-IN_DOUBT = [Verdict.AMBIGUOUS], EVEN
+IN_DOUBT = [Verdict.AMBIGUOUS], EVEN_ODDS
 READ_OTHER, OTHER_ANSWER = "03 0007 0001", "03 02 0777"
 READ_FOUR = "03 0000 0004"
 FOUR_VALUES = "03 08 0001 0002 0003 0004"

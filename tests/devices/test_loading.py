@@ -213,6 +213,14 @@ texts = { 0x11 = "value out of setting range" }
     assert profile_from_json(profile_to_json(profile), "a log") == profile
 
 
+def test_the_number_of_a_text_has_at_most_100_digits(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    key = "0x" + "f" * 6000
+    path.write_text(PUMP + f'[exceptions]\ntexts = {{ "{key}" = "range" }}\n')
+    with pytest.raises(ProfileError, match="a key of more than 100 digits"):
+        load_profile(str(path))
+
+
 def test_texts_of_exceptions_are_inherited(tmp_path: Path) -> None:
     (tmp_path / "base.toml").write_text(
         PUMP + '[exceptions]\ndocumented = [1, 2, 3, 17]\ntexts = { 17 = "range" }\n'

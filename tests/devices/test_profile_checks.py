@@ -6,7 +6,7 @@ import pytest
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, Area, FunctionRule, Profile
-from mbtool.devices.profile_checks import exception_finding, finding_text, request_findings
+from mbtool.devices.profile_checks import exception_finding_code, finding_text, request_findings
 from mbtool.modbus import Table, Transport
 from tests.devices.checking import talk
 from tests.devices.transactions import transaction
@@ -138,8 +138,8 @@ def test_functions_of_the_makers_own_are_no_finding() -> None:
 
 
 def test_an_exception_is_checked_against_the_manual() -> None:
-    assert exception_finding(FT1A, 0x03, 2) is None
-    assert exception_finding(FT1A, 0x03, 3) == "FT1A-E3"
+    assert exception_finding_code(FT1A, 0x03, 2) is None
+    assert exception_finding_code(FT1A, 0x03, 3) == "FT1A-E3"
 
 
 @pytest.mark.parametrize("exception", [3, 4])
@@ -148,8 +148,8 @@ def test_an_exception_is_checked_against_what_the_manual_lists_for_the_function(
 ) -> None:
     wago = load_profile("wago-750")
     for function in (0x01, 0x02):
-        assert exception_finding(wago, function, exception) == f"WAGO-E{exception}"
-    assert exception_finding(wago, 0x03, exception) is None
+        assert exception_finding_code(wago, function, exception) == f"WAGO-E{exception}"
+    assert exception_finding_code(wago, 0x03, exception) is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRanges,
-    joined,
+    joined_ranges,
     listed,
     ranges_text,
     without,
@@ -44,7 +44,7 @@ def test_a_set_without_another_is_the_difference(
 
 
 def test_several_sets_are_joined() -> None:
-    assert joined([[(0, 3)], [(4, 9), (20, 20)], []]) == [(0, 9), (20, 20)]
+    assert joined_ranges([[(0, 3)], [(4, 9), (20, 20)], []]) == [(0, 9), (20, 20)]
 
 
 def test_addresses_behind_the_last_one_do_not_exist() -> None:

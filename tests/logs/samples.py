@@ -174,7 +174,7 @@ packets = st.builds(
     link=_names,
     link_type=st.integers(0, 65535),
     data=_raw,
-    original_length=st.integers(0, 2**32),
+    original_length=st.integers(0, 2**32 - 1),
 )
 events = st.builds(
     WireEvent,

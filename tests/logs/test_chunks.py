@@ -16,9 +16,9 @@ from mbtool.logs.chunks import (
     data_length,
     records_in,
 )
-from mbtool.logs.layout import MAX_RECORD, RECORD_HEAD, Opcode, packed
+from mbtool.logs.layout import MAX_RECORD, RECORD_HEAD, Opcode, pack_records
 
-CONTENT = packed(Metadata("a", {}), Metadata("b", {"k": "v" * 50}))
+CONTENT = pack_records(Metadata("a", {}), Metadata("b", {"k": "v" * 50}))
 
 
 @pytest.mark.parametrize("compression", ["", "zstd"])
@@ -99,4 +99,4 @@ def chunk_of(
         uncompressed_crc=zlib.crc32(content) if crc is None else crc,
         uncompressed_size=len(content) if size is None else size,
     )
-    return packed(chunk)[RECORD_HEAD.size :]
+    return pack_records(chunk)[RECORD_HEAD.size :]

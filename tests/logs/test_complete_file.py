@@ -11,13 +11,13 @@ from mcap.records import Header, Metadata
 from mbtool.core import OutputError
 from mbtool.logs.complete_file import SECTOR, CompleteFile
 from mbtool.logs.container import Container
-from mbtool.logs.layout import MAGIC, TAIL_SIZE, packed
+from mbtool.logs.layout import MAGIC, TAIL_SIZE, pack_records
 from mbtool.logs.schemas import TopicSchema
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-HEAD = MAGIC + packed(Header(profile="mbtool", library="test"))
+HEAD = MAGIC + pack_records(Header(profile="mbtool", library="test"))
 SCHEMA = TopicSchema("s", "jsonschema", "json", b'{"type": "object", "properties": {}}')
 
 
@@ -93,7 +93,7 @@ def test_no_tail_crosses_a_sector() -> None:
         disk = Disk()
         file = CompleteFile(disk, "x.mcap", HEAD)
         for record in (Metadata("m", {}), Metadata("m", {"k": "x" * filler}), Metadata("n", {})):
-            file.append(packed(record), sync=False)
+            file.append(pack_records(record), sync=False)
             assert file.size == len(disk.getvalue()), filler
             assert file.position % SECTOR + TAIL_SIZE <= SECTOR, filler
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.logs import LogItem, LogReader, LogWriter, read_log
-from mbtool.logs.evidence_blocks import MAX_READS, descriptor, is_joinable, joined, separated
+from mbtool.logs.evidence_blocks import MAX_READS, descriptor, is_joinable, pack_reads, unpack_reads
 from tests.logs.samples import START_NS, chunk, reads, stock_messages, transaction
 
 CAPTURES = Path(__file__).parents[2] / "captures"
@@ -25,7 +25,7 @@ def read(at_us: float, data: bytes, direction: Direction = Direction.UNKNOWN) ->
 
 
 def test_the_layout_is_as_documented() -> None:
-    message = joined([read(0, b"\x01\x03"), read(570, b"\x00"), read(1150, b"\x00")])
+    message = pack_reads([read(0, b"\x01\x03"), read(570, b"\x00"), read(1150, b"\x00")])
     assert message == bytes.fromhex(
         "09 00002a36fe9c9717"  # fixed64: 1,700,000,000,000,000,000 ns
         "12 05 7273343835"  # link: rs485
@@ -41,33 +41,33 @@ def test_the_layout_is_as_documented() -> None:
 
 
 def test_reads_of_one_byte_have_no_sizes_and_a_line_with_two_taps_has_directions() -> None:
-    one = joined([read(0, b"\x01"), read(10, b"\x02")])
+    one = pack_reads([read(0, b"\x01"), read(10, b"\x02")])
     assert one.endswith(bytes.fromhex("2a 02 00 01"))
-    two = joined([read(0, b"\x01", Direction.REQUEST), read(10, b"\x02", Direction.RESPONSE)])
+    two = pack_reads([read(0, b"\x01", Direction.REQUEST), read(10, b"\x02", Direction.RESPONSE)])
     assert two.endswith(bytes.fromhex("2a 02 00 01 3a 02 01 02"))
 
 
 @pytest.mark.parametrize(("step_ns", "unit"), [(10_000, "904e"), (300, "64"), (1, "01")])
 def test_the_unit_of_time_is_the_coarsest_that_changes_no_time(step_ns: int, unit: str) -> None:
     some = [Chunk(ts_ns=7 + number * step_ns, link="a", data=b"x") for number in range(3)]
-    assert bytes.fromhex("20" + unit + "2a") in joined(some)
-    assert separated(joined(some)) == some
+    assert bytes.fromhex("20" + unit + "2a") in pack_reads(some)
+    assert unpack_reads(pack_reads(some)) == some
 
 
 @given(st.lists(reads, min_size=1, max_size=8))
 def test_joined_reads_are_separated_again(some: list[Chunk]) -> None:
     alike = [one for one in some if is_joinable(one) and one.link == some[0].link]
     if alike:
-        assert separated(joined(alike)) == alike
+        assert unpack_reads(pack_reads(alike)) == alike
 
 
-_messages = reads.filter(is_joinable).map(lambda one: joined([one, one]))
+_messages = reads.filter(is_joinable).map(lambda one: pack_reads([one, one]))
 
 
 @given(st.binary(max_size=60) | _messages, st.integers(0, 60), st.integers(0, 255))
 def test_no_bytes_raise_anything_but_a_value_error(data: bytes, at: int, byte: int) -> None:
     try:
-        found = separated(data[:at] + bytes([byte]) + data[at + 1 :])
+        found = unpack_reads(data[:at] + bytes([byte]) + data[at + 1 :])
     except ValueError:
         return
     assert found
@@ -94,7 +94,7 @@ def test_too_many_reads_in_a_message_are_refused(waits: int, wait: str) -> None:
     length = bytes([size & 127 | 128, size >> 7 & 127 | 128, size >> 14])
     message = bytes.fromhex("09 0000000000000000 12 00 1a 00 20 01 2a") + length + packed
     with pytest.raises(ValueError, match="reads"):
-        separated(message)
+        unpack_reads(message)
 
 
 def test_reads_of_several_lines_come_in_the_order_of_their_times(tmp_path: Path) -> None:

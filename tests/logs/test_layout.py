@@ -14,7 +14,7 @@ from mbtool.logs.layout import (
     data_end,
     empty_record,
     footer,
-    packed,
+    pack_records,
 )
 
 
@@ -37,6 +37,6 @@ def test_the_stock_reader_skips_an_empty_record(size: int) -> None:
     after = Metadata(name="after", metadata={})
     filler = empty_record(size)
     assert len(filler) == size
-    data = MAGIC + packed(header) + filler + packed(after) + data_end(0) + footer()
+    data = MAGIC + pack_records(header) + filler + pack_records(after) + data_end(0) + footer()
     names = [type(record).__name__ for record in StreamReader(io.BytesIO(data)).records]
     assert names == ["Header", "Metadata", "DataEnd", "Footer"]

@@ -10,12 +10,12 @@ import pytest
 from mcap.records import Metadata
 
 from mbtool.core import CutError, InputError
-from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD, Opcode, data_end, packed
+from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD, Opcode, data_end, pack_records
 from mbtool.logs.records import McapRecord, RecordStream
 
 
 def test_records_have_their_file_offset() -> None:
-    stream = opened(MAGIC + packed(Metadata("a", {})) + data_end(0))
+    stream = opened(MAGIC + pack_records(Metadata("a", {})) + data_end(0))
     stream.read_magic()
     first = stream.look_at_record()
     assert first is not None
@@ -73,7 +73,7 @@ def test_a_record_that_ends_too_early_is_damage(content: bytes) -> None:
 
 
 def test_a_packed_file_that_is_cut_is_a_cut() -> None:
-    whole = MAGIC + packed(Metadata("a", {"k": "".join(map(str, range(1000)))}))
+    whole = MAGIC + pack_records(Metadata("a", {"k": "".join(map(str, range(1000)))}))
     file = io.BytesIO(gzip.compress(whole)[:-200])
     with gzip.open(file) as unpacked:
         stream = RecordStream(unpacked, "x.mcap.gz")

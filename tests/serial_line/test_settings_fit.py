@@ -10,7 +10,7 @@ from mbtool.core import Direction, LineSettings, SerialFormat
 from mbtool.modbus.adu import ascii_adu, rtu_adu
 from mbtool.modbus.pdu import encode_pdu
 from mbtool.serial_line.settings_fit import (
-    ENOUGH,
+    ENOUGH_BYTES,
     ENOUGH_WITHOUT_FRAME,
     SettingsScore,
     SettingsTrial,
@@ -96,7 +96,7 @@ def test_settings_without_a_frame_are_given_up_early_and_noisy_ones_late() -> No
     assert not heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME - 1)).is_decided
     assert heard(EVEN, bytes(ENOUGH_WITHOUT_FRAME)).is_decided
     frame, noise = rtu_adu(1, READ), b"\x55" * 8
-    some = [frame, noise] * (ENOUGH // 16)
+    some = [frame, noise] * (ENOUGH_BYTES // 16)
     assert not heard(EVEN, *some[:30]).is_decided
     assert heard(EVEN, *some, noise).is_decided
 

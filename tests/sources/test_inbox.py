@@ -57,7 +57,7 @@ def test_a_source_goes_first_while_it_takes_what_waits(monkeypatch: pytest.Monke
         assert inbox.get() == chunk(0)
         taken.set()
 
-    with inbox.first(), inbox.first():
+    with inbox.fetching_first(), inbox.fetching_first():
         inbox.put(chunk(0))
         consumer = threading.Thread(target=consume)
         consumer.start()
@@ -70,7 +70,7 @@ def test_a_consumer_that_has_much_to_do_waits_for_no_source(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     inbox = Inbox(limit=2 * (ITEM_COST + 100))
-    with inbox.first():
+    with inbox.fetching_first():
         for ts_ns in range(2):
             inbox.put(chunk(ts_ns))
         monkeypatch.setattr(inbox._calm, "wait", lambda _: pytest.fail("it stood still"))
@@ -79,7 +79,7 @@ def test_a_consumer_that_has_much_to_do_waits_for_no_source(
 
 def test_a_source_that_goes_first_for_ever_starves_no_consumer() -> None:
     inbox = Inbox()
-    with inbox.first():
+    with inbox.fetching_first():
         inbox.put(chunk(0))
         assert inbox.get(0) == chunk(0)
 

@@ -12,7 +12,7 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.ledger import account
 from mbtool.modbus import Outcome
-from mbtool.troubles.judge import ENOUGH, Judge
+from mbtool.troubles.judge import MIN_ANSWERED, Judge
 from tests.ledger.test_account_over_time import asked, event
 from tests.troubles.judging import counted_of
 
@@ -242,12 +242,12 @@ def test_a_broken_rule_that_a_trouble_explains_is_told_no_second_time() -> None:
 
 
 def test_green_is_said_only_if_enough_was_heard() -> None:
-    told = judged(polled(ENOUGH))
+    told = judged(polled(MIN_ANSWERED))
     assert told.level == "well"
     assert told.summary == (
         "Everything is well: the unit answers 20 requests, half of them within 5.0 ms."
     )
-    told = judged(polled(ENOUGH - 1))
+    told = judged(polled(MIN_ANSWERED - 1))
     assert told.level == "doubt"
     assert told.summary == (
         "Too short to judge in 18.0 s: the unit answers 19 requests, half of them within 5.0 ms; "

@@ -5,11 +5,11 @@ from statistics import median_high
 import pytest
 
 from mbtool.ledger.distribution import Distribution
-from mbtool.troubles.slow_units import ENOUGH_ANSWERS, SLOW, are_many, slow_units
+from mbtool.troubles.slow_units import MIN_ANSWERS, SLOW_RATIO, are_many, slow_units
 from tests.ledger.masters import MS
 
 
-def answered(latency_ms: int, count: int = ENOUGH_ANSWERS) -> Distribution:
+def answered(latency_ms: int, count: int = MIN_ANSWERS) -> Distribution:
     made = Distribution()
     for _ in range(count):
         made.add(latency_ms * MS)
@@ -26,7 +26,7 @@ def test_others_are_not_slow(latencies: tuple[int, ...]) -> None:
 
 
 def test_few_answers_tell_nothing() -> None:
-    assert slow_units({1: answered(4), 2: answered(90, ENOUGH_ANSWERS - 1)}) == {}
+    assert slow_units({1: answered(4), 2: answered(90, MIN_ANSWERS - 1)}) == {}
 
 
 def test_each_unit_is_compared_with_all_others() -> None:
@@ -34,7 +34,7 @@ def test_each_unit_is_compared_with_all_others() -> None:
     found = slow_units({at: answered(one) for at, one in enumerate(latencies)})
     for at, own in enumerate(latencies):
         usual = median_high(one for other, one in enumerate(latencies) if other != at)
-        assert found.get(at) == (usual * MS if own >= max(SLOW * usual, 50) else None)
+        assert found.get(at) == (usual * MS if own >= max(SLOW_RATIO * usual, 50) else None)
 
 
 def test_many_slow_units_are_so_by_their_kind() -> None:

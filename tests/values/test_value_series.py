@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.values.value_series import SeriesSample, ValueSeries, thinned
+from mbtool.values.value_series import SeriesSample, ValueSeries, thin_samples
 
 
 def test_only_changes_are_kept() -> None:
@@ -48,7 +48,7 @@ def test_thinning_keeps_order_and_extremes_within_its_bound(
     pairs: list[tuple[int, int]], most: int
 ) -> None:
     samples = [SeriesSample(*pair) for pair in pairs]
-    kept = thinned(samples, most)
+    kept = thin_samples(samples, most)
     assert len(kept) <= most
     assert [one.ts_ns for one in kept] == sorted(one.ts_ns for one in kept)
     assert {*kept} <= {*samples}

@@ -5,7 +5,7 @@ from mbtool.views.statistics_columns import (
     StatisticsRow,
     StyledLine,
     more_line,
-    shortened,
+    shorten,
     table_lines,
     wrapped,
 )
@@ -54,7 +54,7 @@ def test_a_row_keeps_its_style_and_the_titles_are_bold() -> None:
 def test_control_characters_do_not_reach_the_terminal() -> None:
     hostile = StatisticsRow("\x1b[2J\nunit", ("1", "", ""))
     assert "\x1b" not in table_lines("poll", COLUMNS, (hostile,), 80)[1].text
-    assert shortened("a\x07b", None) == "a?b"
+    assert shorten("a\x07b", None) == "a?b"
     assert wrapped(StyledLine("a\x1bb"), None) == [StyledLine("a?b")]
 
 

@@ -119,7 +119,7 @@ def test_what_was_forgotten_of_many_different_requests_is_the_same_both_ways(
         patch.object(polls, "MAX_POLLS", 40),
         patch.object(polls, "MIN_PERIODS", 2),
         patch.object(account, "MAX_POLLS", 40),
-        patch.object(unpolled, "MAX_THINGS", 40),
+        patch.object(unpolled, "MAX_TARGETS", 40),
     ):
         assert demand_equal(made.path)
 

@@ -245,9 +245,9 @@ class PromptedApp(DrawnApp):
             self.tell("there is no filter; / makes one")
             return
         self.filter_is_on = not self.filter_is_on
-        self._thaw()
+        self._redraw_after_filter()
 
-    def _thaw(self) -> None:
+    def _redraw_after_filter(self) -> None:
         """Draw the screen after the filter has changed.
 
         A frozen screen is frozen again at this moment, since its rows passed the old filter.
@@ -291,7 +291,7 @@ class PromptedApp(DrawnApp):
             self.feed.set_filter(wanted)
             self.where = text.strip()
         self.filter_is_on = wanted is not None
-        self._thaw()
+        self._redraw_after_filter()
         return True
 
     def on_input_submitted(self) -> None:
@@ -378,9 +378,9 @@ class PromptedApp(DrawnApp):
         except (MbtoolError, OSError) as error:
             self.unsaid, is_done = str(error), False
         with suppress(RuntimeError):  # The screen is closed, and textual does not run any more.
-            self.call_from_thread(self._saved, is_done=is_done)
+            self.call_from_thread(self._note_saved, is_done=is_done)
 
-    def _saved(self, *, is_done: bool) -> None:
+    def _note_saved(self, *, is_done: bool) -> None:
         self._saving = None
         if self.return_value is not None or self.unsaid is None or not self.is_up:
             return

@@ -298,7 +298,7 @@ class DrawnApp(App[int]):
         table.show(columns, self.context, empty=self._why_empty())
         self._draw_lines(width)
         self._draw_detail()
-        self.call_after_refresh(self._drawn, began_s)
+        self.call_after_refresh(self._plan_next_drawing, began_s)
 
     def _measure(self, rows: Sequence[Any]) -> None:
         """Note the widest cells of the present view, in `rows`.
@@ -343,7 +343,7 @@ class DrawnApp(App[int]):
         took_s = time.perf_counter() - began_s
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
-    def _drawn(self, began_s: float) -> None:
+    def _plan_next_drawing(self, began_s: float) -> None:
         """Set the time of the next drawing by the processor time that this one took.
 
         `began_s` is the thread's processor time in seconds at the start of this drawing.

@@ -1,4 +1,4 @@
-"""Writes the full screen to the terminal, and finds out if the terminal is gone."""
+"""Writes the full screen to the terminal, and finds out whether the terminal is gone."""
 
 # textual writes in a thread of its own. If a write raised an error there, the thread would end, its
 # queue of 30 texts would fill up, and the main thread would wait for ever for room in it. So a
@@ -19,8 +19,6 @@ from typing import NamedTuple, TextIO
 
 from mbtool.core import UsageError
 
-# The code below asks terminfo if the terminal can move its cursor and show colours.
-
 
 def accept_any_byte() -> None:
     """Let a key that is no UTF-8 be an unknown key; textual would end the screen with an error."""
@@ -40,7 +38,7 @@ class TerminalAbilities(NamedTuple):
 
 
 def terminal_abilities() -> TerminalAbilities:
-    """Return the abilities of the terminal that the environment variable TERM names."""
+    """Return the abilities of the terminal that the environment variable TERM names (terminfo)."""
     try:
         import curses
     except ImportError:  # As on Windows.
@@ -55,8 +53,8 @@ def terminal_abilities() -> TerminalAbilities:
 def prepare_terminal() -> None:
     """Set NO_COLOR if the terminal shows no colours, and remove it if it is empty.
 
-    An empty NO_COLOR has no meaning (no-color.org), but textual only checks if the variable exists.
-    Raises UsageError for a terminal on which no full screen can be drawn.
+    An empty NO_COLOR has no meaning (no-color.org), but textual only checks whether the variable
+    exists. Raises UsageError for a terminal on which no full screen can be drawn.
     """
     able = terminal_abilities()
     if not able.has_cursor:

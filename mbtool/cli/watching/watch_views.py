@@ -46,7 +46,7 @@ class WatchView:
     what: str
     """The plural noun in the text of a view without rows, such as `requests to slaves`."""
     row_noun: str
-    """The plural noun for its rows, such as `slaves`."""
+    """The plural noun for the rows of the view, such as `slaves`."""
     columns: Sequence[WatchColumn]
     rows: Callable[[Board, int], Sequence[Any]]
     """Makes the rows from a board (figures and last records) and the screen's width in

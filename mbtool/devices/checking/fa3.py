@@ -63,8 +63,8 @@ RESET_NS = 2_000_000_000
 REJECTING_NS = 10_000_000_000
 """The time in ns after an unanswered alive check in which a module may refuse its master (10.2)."""
 GOES_ON_NS = 1_000_000_000
-"""If a module still answers on a connection this long (ns) after a third one opened, it has not
-dropped it."""
+"""A module should close a connection when a third one opens. If it answers a request that came on
+that connection more than this long (ns) after the third opened, it has not closed it."""
 _COUNT, _SPLIT = 0x00F4, 0x00F5
 _TIMERS = range(0x00F2, 0x00F6)
 """Addresses of the holding registers with the times of the alive check and of split reception."""
@@ -93,7 +93,7 @@ class _Third:
     others: tuple[str, ...]
     """The master's HOST:PORT of the connections beside it."""
     silent: str
-    """The connection among them that was silent longest."""
+    """The other connection that was silent longest."""
 
 
 @dataclass(slots=True)
@@ -115,7 +115,7 @@ class _Module:
     flags: dict[int, int] = field(default_factory=dict)
     """By channel, from 0, its conversion completion flag as it was read last."""
     alarm: int = 0
-    """The value of RWr1 as it was read last."""
+    """The value that the last read of RWr1 returned."""
     model: int | None = None
     """The model code that was reported last."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
@@ -177,8 +177,8 @@ class Fa3Rules:
             )
             yield transaction_finding("FA3-X8", transaction, text)
         yield from _handshake(module, transaction)
-        yield from _unapplied(module, transaction, profile)
-        yield from _unconverted(module, transaction)
+        yield from _report_unapplied_settings(module, transaction, profile)
+        yield from _report_unconverted_reads(module, transaction)
         yield from _alarm(module, transaction, profile)
         yield from _other_model(module, transaction, profile)
         _note_registers(module, transaction)
@@ -198,20 +198,20 @@ class Fa3Rules:
             case EventKind.FOREIGN if is_foreign_message(event.raw):
                 yield event_finding("FA3-X1", event, foreign_text(event))
             case EventKind.OPENED:
-                yield from self._opened(module, event)
+                yield from self._judge_opened_connection(module, event)
             case EventKind.SKIPPED if event.source in module.connections:
                 module.incomplete[event.source] = event.ts_ns
             case EventKind.CLOSED:
                 end = ConnectionEnd.of(event) or ConnectionEnd("")
                 yield from _alive_check(module, event, end, profile)
                 yield from _gave_up(module, event, end, profile)
-                yield from self._closed(module, event, end)
+                yield from self._judge_third_connection(module, event, end)
                 module.connections.pop(event.source, None)
                 module.incomplete.pop(event.source, None)
                 if event.source == module.reset_by:
                     module.reset_ns, module.reset_by = event.ts_ns, None
 
-    def _opened(self, module: _Module, event: WireEvent) -> Iterator[Finding]:
+    def _judge_opened_connection(self, module: _Module, event: WireEvent) -> Iterator[Finding]:
         module.connections[event.source] = event.ts_ns
         if len(module.connections) > MAX_CONNECTIONS:
             silent = min(module.connections, key=lambda source: module.connections[source])
@@ -226,7 +226,9 @@ class Fa3Rules:
             text = f"{event.source} connects {{after}} after the remote reset"
             yield from self._attempt(module, event.ts_ns, event_finding("FA3-X4", event, text))
 
-    def _closed(self, module: _Module, event: WireEvent, end: ConnectionEnd) -> Iterator[Finding]:
+    def _judge_third_connection(
+        self, module: _Module, event: WireEvent, end: ConnectionEnd
+    ) -> Iterator[Finding]:
         """Tell what the module does about a third connection: FA3-X2, or FA3-X9 if it is wrong."""
         third, by_module = module.third, end.by == "slave" or end.reason == "refused"
         is_allowed = event.ts_ns < module.rejects_until_ns
@@ -354,7 +356,7 @@ def _note_registers(module: _Module, transaction: NamedTransaction) -> None:
             module.flags[at - _FLAGS.start] = value
 
 
-def _unconverted(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
+def _report_unconverted_reads(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
     """Give FA3-X10 if the value of an enabled channel is read while its flag was last read as
     off.
     """
@@ -451,7 +453,7 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
         module.is_requested = False
 
 
-def _unapplied(
+def _report_unapplied_settings(
     module: _Module, transaction: NamedTransaction, profile: Profile
 ) -> Iterator[Finding]:
     """Give FA3-X6 if channel values are read or written while new settings are not applied.

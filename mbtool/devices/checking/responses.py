@@ -55,8 +55,9 @@ EDGE_NS = 1_000_000_000
 """If the capture ends less than this (ns) after a request, the response may have come after the
 capture's end."""
 
-USUAL = 0.25
-"""A request comes at the usual period of its poll if it differs from it by at most this share."""
+PERIOD_TOLERANCE = 0.25
+"""An equal request counts as the next poll, not as a retry, if its distance from the request before
+differs from the poll's usual period by at most this share of the period."""
 
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
 _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
@@ -152,7 +153,7 @@ class ResponseRules:
             earlier = self._pending.pop(request, None)
             if earlier:
                 self._pending_count -= len(earlier)
-                yield from self._repeated(earlier, transaction)
+                yield from self._report_unanswered_repeats(earlier, transaction)
             elif transaction.retries:
                 self._retries[request].append(_Retry(transaction))
 
@@ -275,7 +276,7 @@ class ResponseRules:
         if self._pending_count > MAX_PENDING:
             yield self._give_up_oldest()
 
-    def _repeated(
+    def _report_unanswered_repeats(
         self, earlier: Iterable[NamedTransaction], answered: NamedTransaction
     ) -> Iterator[Finding]:
         """Report the unanswered requests `earlier`, which equal the answered one."""
@@ -292,7 +293,7 @@ class ResponseRules:
         """True if `other` comes after the equal request `one` as the next poll does."""
         usual_ns = self._usual_period_ns(one)
         since_ns = other.start_ns - one.start_ns
-        return usual_ns is not None and abs(since_ns - usual_ns) <= USUAL * usual_ns
+        return usual_ns is not None and abs(since_ns - usual_ns) <= PERIOD_TOLERANCE * usual_ns
 
     def _give_up_oldest(self) -> Finding:
         request, transactions = next(iter(self._pending.items()))

@@ -4,7 +4,7 @@
 # most that length, its ends included. It is full if it contains at least that number of cases. The
 # times of cases may be slightly out of order, because a request without a response is decoded late.
 #
-# Memory: the times and packets of the last cases, fewer than KEPT x the limit's number.
+# Memory: the times and packets of the last cases, fewer than KEPT_RATIO x the limit's number.
 
 from __future__ import annotations
 
@@ -104,7 +104,9 @@ class LruDict(Generic[K, V]):
         self._entries.clear()
 
 
-KEPT = 4
+KEPT_RATIO = 4
+"""Fewer cases than this many times the limit's number are kept; beyond it, half of them are
+dropped."""
 
 
 class SlidingWindow:
@@ -150,10 +152,10 @@ class SlidingWindow:
             counted = self._count(begin)
             if self.first_ns is None:
                 self.first_ns = times[begin]
-        if len(times) >= KEPT * number:
-            del times[: -(KEPT // 2) * number]
-        if len(self._packets) >= KEPT * number:
-            del self._packets[: -(KEPT // 2) * number]
+        if len(times) >= KEPT_RATIO * number:
+            del times[: -(KEPT_RATIO // 2) * number]
+        if len(self._packets) >= KEPT_RATIO * number:
+            del self._packets[: -(KEPT_RATIO // 2) * number]
         return counted
 
     def _full_window(self, place: int) -> int | None:

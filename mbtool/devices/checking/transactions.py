@@ -157,7 +157,7 @@ def _wrong_exception(transaction: NamedTransaction, profile: Profile) -> str:
 def _quantities(transaction: NamedTransaction) -> str:
     if transaction.write_address is None:
         return f"quantity {transaction.quantity}"
-    return f"reads {transaction.quantity}, writes {_written(transaction)}"
+    return f"reads {transaction.quantity}, writes {_written_quantity(transaction)}"
 
 
 def _wrong_quantity(transaction: NamedTransaction) -> str:
@@ -165,10 +165,11 @@ def _wrong_quantity(transaction: NamedTransaction) -> str:
     quantity = transaction.quantity
     if known is not None and quantity is not None and not 1 <= quantity <= known.limit:
         return f"quantity {quantity}, the standard allows 1 to {known.limit}"
-    return f"writes {_written(transaction)} registers, the standard allows 1 to {WRITE_LIMIT_17H}"
+    written = _written_quantity(transaction)
+    return f"writes {written} registers, the standard allows 1 to {WRITE_LIMIT_17H}"
 
 
-def _written(transaction: NamedTransaction) -> int:
+def _written_quantity(transaction: NamedTransaction) -> int:
     """Number of registers that a request with function 17H writes; 0 for another function."""
     return (written_by_17h(transaction) or (0, 0))[1]
 

@@ -1,24 +1,24 @@
 """Counts the addresses, units, functions or registers that a master requests but does not poll."""
 
-# A "thing" is an address, unit, function or register that a rule about scans counts. A "scope" is
-# the source, slave and unit within which things are counted together. A master polls a thing if it
-# repeats the same request to it after a response, or repeats it MAX_ATTEMPTS times without one.
+# A "target" is an address, unit, function or register that a rule about scans counts. A "scope" is
+# the source, slave and unit within which targets are counted together. A master polls a target if
+# it repeats the same request to it after a response, or repeats it MAX_ATTEMPTS times without one.
 #
-# To recognise a repeated request without storing all requests, one request to each thing is
+# To recognise a repeated request without storing all requests, one request to each target is
 # remembered: number 1, then 2, 4, 8 and so on (Brent's cycle detection). So a master that sends
 # several requests in turn is recognised as polling in the third turn at the latest. The opening of
 # a connection counts as a request, but only until a real request comes: a scan may open a
 # connection for each request.
 #
-# A master that polls looks like a scan if the capture ends before its second turn. So a thing is
+# A master that polls looks like a scan if the capture ends before its second turn. So a target is
 # ordinary if its slave answered as asked, and the caller states that the capture is too short to
-# know if the master polls the thing. If more than half of the things in a scope are ordinary, and
-# they are at most `most_ordinary`, none of them is counted.
+# know whether the master polls the target. If more than half of the targets in a scope are
+# ordinary, and they are at most `most_ordinary`, none of them is counted.
 #
-# Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
-# more, the oldest thing not known to be polled is counted as never polled. For each of at most
+# Memory: MAX_TARGETS targets that are not known to be polled, and as many that are. If there are
+# more, the oldest target not known to be polled is counted as never polled. For each of at most
 # MAX_ENTRIES scopes (sliding_window.py): the times of recent cases (sliding_window.py), and as many
-# things as the rule's limit says. Of each thing, the packets of MAX_PACKETS requests.
+# targets as the rule's limit says. Each target has the packets of MAX_PACKETS requests.
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-MAX_THINGS = 8192
+MAX_TARGETS = 8192
+"""At most this many targets that are not known to be polled are kept, and as many that are."""
 MAX_ATTEMPTS = 4
 """A master polls if it sends a request without a response this many times. Most masters stop after
 three retries."""
@@ -50,19 +51,19 @@ OPENED = 0
 """Stands for the opening of a connection in the place of a request's hash."""
 
 _Scope = tuple[Hashable, ...]
-_Thing = tuple[_Scope, Hashable]
+_Target = tuple[_Scope, Hashable]
 
 
 @dataclass(slots=True)
 class Attempts:
-    """The requests of a master to one thing that it does not poll, as far as is known by now.
+    """The requests of a master to one target that it has not been found to poll.
 
-    A thing is an IP address, unit, function or register.
+    A target is an IP address, unit, function or register.
     """
 
     request: int
-    """The hash of the remembered request to the thing, by which a repetition is recognised. Request
-    number 1 is remembered, then number 2, 4, 8 and so on in its place."""
+    """The hash of the remembered request to the target, by which a repetition is recognised.
+    Request number 1 is remembered, then number 2, 4, 8 and so on in its place."""
     is_answered: bool
     """True if the remembered request has a response."""
     record: Any
@@ -72,13 +73,13 @@ class Attempts:
     packets: Packets
     """The packets of the first request."""
     number: int = 1
-    """The number of the master's requests to the thing so far."""
+    """The number of the master's requests to the target so far."""
     repeats: int = 0
     """Number of times that the remembered request was repeated."""
     is_answered_as_asked: bool = False
     """True if a response brought what was requested."""
     was_opened: bool = False
-    """True if the capture has the opening of a connection to the thing, an IP address, before the
+    """True if the capture has the opening of a connection to the target, an IP address, before the
     first request."""
     last_ns: int = 0
     """The time of the latest request, in ns."""
@@ -88,7 +89,7 @@ class Attempts:
     """The packets of the requests after the first one, at most MAX_PACKETS."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
-        """Take the master's next request to the thing into account.
+        """Take the master's next request to the target into account.
 
         `request` is the hash of the request, `is_answered` is True if it has a response. Returns
         True if the master is now known to poll, because it repeated a request.
@@ -109,7 +110,7 @@ class Attempts:
         return self.repeats >= MAX_ATTEMPTS
 
     def polls_at(self, requests: list[int]) -> int | None:
-        """Take the master's next requests to the thing into account, all of them answered.
+        """Take the master's next requests to the target into account, all of them answered.
 
         Returns the index of the request with which the master is known to poll; None if it is not.
         """
@@ -135,9 +136,9 @@ class Attempts:
 
 
 class _UnpolledThings:
-    """The things in one scope (such as one source and one slave) that the source does not poll.
+    """The targets in one scope (such as one source and one slave) that the source does not poll.
 
-    A thing is an IP address, unit, function or register. `window` counts them over time; `recent`
+    A target is an IP address, unit, function or register. `window` counts them over time; `recent`
     has the last ones, for examples.
     """
 
@@ -147,11 +148,11 @@ class _UnpolledThings:
 
 
 class Unpolled(Generic[R]):
-    """Counts for one rule the things that masters request but do not poll, and adds them to
+    """Counts for one rule the targets that masters request but do not poll, and adds them to
     `cases`.
 
-    A thing is an IP address, unit, function or register. A scope is the source, slave and unit
-    within which things are counted together; its first item is the source.
+    A target is an IP address, unit, function or register. A scope is the source, slave and unit
+    within which targets are counted together; its first item is the source.
     """
 
     def __init__(
@@ -164,17 +165,17 @@ class Unpolled(Generic[R]):
         most_ordinary: int | None = None,
     ) -> None:
         """`code` is that of the rule. `describe` is called with the record of the first request to
-        a thing, if it is a case. It returns the thing as text, for an example in a message, and the
-        finding to use if this is the first case of a scan. `most_ordinary` is the largest number of
-        things in a scope that can all be ordinary polling; None for any number.
+        a target, if it is a case. It returns the target as text, for an example in a message, and
+        the finding to use if this is the first case of a scan. `most_ordinary` is the largest
+        number of targets in a scope that can all be ordinary polling; None for any number.
         """
         self._code = code
         self._describe = describe
         self._cases = cases
         self._most_ordinary = most_ordinary
-        self._attempts: OrderedDict[_Thing, Attempts] = OrderedDict()
-        self._polled: dict[_Thing, None] = {}
-        """The things (IP addresses, units ...) that are known to be polled, the oldest first."""
+        self._attempts: OrderedDict[_Target, Attempts] = OrderedDict()
+        self._polled: dict[_Target, None] = {}
+        """The targets (IP addresses, units ...) that are known to be polled, the oldest first."""
         self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
 
     def is_polled(self, scope: _Scope, item: Hashable) -> bool:
@@ -190,7 +191,7 @@ class Unpolled(Generic[R]):
         """
         self._attempts.pop((scope, item), None)
         self._polled[scope, item] = None
-        if len(self._polled) > MAX_THINGS:
+        if len(self._polled) > MAX_TARGETS:
             del self._polled[next(iter(self._polled))]
 
     def note(
@@ -206,20 +207,20 @@ class Unpolled(Generic[R]):
         is_identification: bool = False,
         packets: Packets = (),
     ) -> bool:
-        """Take a request to a thing (an IP address, unit, function or register) into account.
+        """Take a request to a target (an IP address, unit, function or register) into account.
 
-        Returns True if the thing is now known to be polled. `request` is the hash of the request,
-        `at_ns` its time. `make` is called for the first request to a thing, and makes its record.
+        Returns True if the target is now known to be polled. `request` is the hash of the request,
+        `at_ns` its time. `make` is called for the first request to a target, and makes its record.
         `is_answered` is True if the request has a response, `is_answered_as_asked` if that response
         brings what was requested, and is no exception, `is_identification` if it asks for the
         identification only. `packets` are those of the request and its response.
         """
-        thing = (scope, item)
-        if thing in self._polled:
+        target = (scope, item)
+        if target in self._polled:
             return True
-        attempts = self._attempts.get(thing)
+        attempts = self._attempts.get(target)
         if attempts is None:
-            attempts = self._attempts[thing] = Attempts(
+            attempts = self._attempts[target] = Attempts(
                 request,
                 is_answered,
                 make(),
@@ -228,7 +229,7 @@ class Unpolled(Generic[R]):
                 is_answered_as_asked=is_answered_as_asked,
                 was_opened=request == OPENED,
             )
-            if len(self._attempts) > MAX_THINGS:
+            if len(self._attempts) > MAX_TARGETS:
                 self._settle(*self._attempts.popitem(last=False))
         elif attempts.is_poll(request, is_answered=is_answered):
             self.set_polled(scope, item)
@@ -242,8 +243,8 @@ class Unpolled(Generic[R]):
         return False
 
     def has_room(self, count: int) -> bool:
-        """True if no thing must be dropped for so many new ones."""
-        return max(len(self._attempts), len(self._polled)) + count <= MAX_THINGS
+        """True if no target must be dropped for so many new ones."""
+        return max(len(self._attempts), len(self._polled)) + count <= MAX_TARGETS
 
     def note_all(
         self,
@@ -253,16 +254,16 @@ class Unpolled(Generic[R]):
         places: Sequence[int],
         make: Callable[[int], R],
     ) -> int | None:
-        """Take the requests of a run to a thing into account: those at these places, sorted. The
+        """Take the requests of a run to a target into account: those at these places, sorted. The
         result is the same as if `note` was called for each; `make` gets the place of the first one.
 
-        Returns the place of the request with which the thing is known to be polled; None if it is
+        Returns the place of the request with which the target is known to be polled; None if it is
         not.
         """
-        thing = (scope, item)
-        if not places or thing in self._polled:
+        target = (scope, item)
+        if not places or target in self._polled:
             return places[0] if places else None
-        attempts, rows = self._attempts.get(thing), run.rows
+        attempts, rows = self._attempts.get(target), run.rows
         at_ns = rows.request_ns
         begin = 0
         if attempts is None:
@@ -277,7 +278,7 @@ class Unpolled(Generic[R]):
                 is_answered_as_asked=rows.exceptions[first] < 0,
                 packets=run.packets(first),
             )
-            attempts = self._attempts[thing]
+            attempts = self._attempts[target]
             begin = 1
         number = attempts.polls_at([rows.asked[place] for place in places[begin:]])
         end = None if number is None else begin + number
@@ -297,24 +298,24 @@ class Unpolled(Generic[R]):
         self,
         is_too_short: Callable[[str, Attempts], bool] = lambda source, attempts: False,
     ) -> None:
-        """Count all things (IP addresses, units ...) that are not known to be polled.
+        """Count all targets (IP addresses, units ...) that are not known to be polled.
 
         Call this method at the end of the capture. `is_too_short` tells of the requests of a source
-        to a thing whether the capture is too short to know if the source polls it.
+        to a target whether the capture is too short to know whether the source polls it.
         """
         left, self._attempts = self._attempts, OrderedDict()
-        all_things, ordinary = Counter[_Scope](), Counter[_Scope]()
+        all_targets, ordinary = Counter[_Scope](), Counter[_Scope]()
         for (scope, _), one in left.items():
-            all_things[scope] += 1
+            all_targets[scope] += 1
             ordinary[scope] += one.is_answered_as_asked and is_too_short(str(scope[0]), one)
-        for thing, one in sorted(left.items(), key=lambda item: item[1].at_ns):
-            scope, most = thing[0], self._most_ordinary
-            is_plant = 2 * ordinary[scope] > all_things[scope]
-            if not is_plant or (most is not None and all_things[scope] > most):
-                self._settle(thing, one)
+        for target, one in sorted(left.items(), key=lambda item: item[1].at_ns):
+            scope, most = target[0], self._most_ordinary
+            is_plant = 2 * ordinary[scope] > all_targets[scope]
+            if not is_plant or (most is not None and all_targets[scope] > most):
+                self._settle(target, one)
 
-    def _settle(self, thing: _Thing, attempts: Attempts) -> None:
-        scope = thing[0]
+    def _settle(self, target: _Target, attempts: Attempts) -> None:
+        scope = target[0]
         scan = self._scans[scope]
         scan.recent.append(attempts)
         counted = scan.window.add(attempts.at_ns)

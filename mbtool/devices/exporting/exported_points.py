@@ -15,7 +15,8 @@ from mbtool.devices.point_types import ByteOrder, WordOrder
 from mbtool.devices.references import write_reference
 from mbtool.devices.values import PointInstance
 
-_FEW = 3
+_MOST_NAMED = 3
+"""A text has at most this many names."""
 NOT_SCALED = "as in the register, since another register of the device holds the scale"
 
 
@@ -88,5 +89,5 @@ def number_text(number: float) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
-    return f"{', '.join(names[:_FEW])}{more}"
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"{', '.join(names[:_MOST_NAMED])}{more}"

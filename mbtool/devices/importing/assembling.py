@@ -59,8 +59,8 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
     """Make the profile of a device, and the profile's TOML text with the remarks in a comment at
     the top.
 
-    Of points that overlap, only the one with the lowest address is used. Raises UsageError if the
-    device has no point. `file` is the name of the file that was read, for messages.
+    If points overlap, only the one with the lowest address is used. Raises UsageError if the device
+    has no point. `file` is the name of the file that was read, for messages.
     """
     remarks = list(device.remarks)
     points = _without_overlaps(device.points, remarks)

@@ -20,6 +20,7 @@ from enum import StrEnum
 from mbtool.core.errors import UsageError
 
 MAX_PREAMBLE = 40
+MAX_COLUMNS = 1000
 DELIMITERS = ";\t,|"
 
 
@@ -171,15 +172,20 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
         try:
             rows = list(reader)
         except csv.Error as error:
-            problems.append(f"{file}: not CSV: {error}, up to line {reader.line_num}")
+            problems.append(
+                f"{file}: not CSV: {error}, up to line {reader.line_num}; "
+                "a quote that opens a cell must close it"
+            )
             continue
         first = rows[:MAX_PREAMBLE]
+        if any(len(row) > MAX_COLUMNS for row in first):
+            raise UsageError(f"{file}: more than {MAX_COLUMNS:,} columns are no register list")
         sheets += [Sheet(rows, at, _columns(row, named)) for at, row in enumerate(first) if row]
     # If several delimiters are equally likely, max() takes the first. DELIMITERS has the semicolon
     # before the comma, because a comma is more often part of a cell's text.
     best = max(sheets, key=_likeness, default=None)
     if problems and (best is None or best.column(Meaning.ADDRESS) is None):
-        raise UsageError(f"{problems[0]}; a quote that opens a cell must close it")
+        raise UsageError(problems[0])
     if best is None:
         raise UsageError(f"{file}: is empty")
     _check(best, file, named)

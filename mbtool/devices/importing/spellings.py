@@ -104,6 +104,10 @@ _NAMES = {
 }  # fmt: skip
 
 
+_MAX_TYPE = 100
+"""A longer cell (characters) names no type."""
+
+
 def parse_order(text: str) -> Order | None:
     """Read a word and byte order: `CDAB`, `big-endian word swap`, `LSW first`.
 
@@ -121,7 +125,7 @@ def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
 
     `registers` is the number of registers that the list states for the value; None if it does not.
     """
-    words = re.findall(r"[a-z0-9]+", text.lower())
+    words = re.findall(r"[a-z0-9]+", text.lower()) if len(text) <= _MAX_TYPE else []
     orders = (parse_order(" ".join(words[at:])) for at in range(1, len(words)))
     at, order = next(((at, one) for at, one in enumerate(orders, 1) if one), (len(words), None))
     name = "".join(words[:at])

@@ -260,7 +260,9 @@ class PeriodMean:
         else:
             rest_ns = self._begun_ns + self._period_ns - self._known_ns
             ended = self._sum + self._value * rest_ns
-            self._mean = cut(ended, self._period_ns) if periods == 1 else self._value
+            self._mean = (
+                divide_towards_zero(ended, self._period_ns) if periods == 1 else self._value
+            )
             self._begun_ns = now_ns - into_ns
             self._sum = self._value * into_ns
         self._known_ns = now_ns
@@ -291,7 +293,7 @@ class MovingMean:
             until_ns = since_ns
         if until_ns > first_ns:  # The changes before were dropped.
             total += self._steps[0][1] * (until_ns - first_ns)
-        return cut(total, self._window_ns)
+        return divide_towards_zero(total, self._window_ns)
 
 
 def scaled(value: int, lower: int, upper: int) -> int:
@@ -301,16 +303,18 @@ def scaled(value: int, lower: int, upper: int) -> int:
     """
     if lower == upper:
         return value
-    return limited(cut(lower * FULL_SCALE + value * (upper - lower), FULL_SCALE))
+    return nearest_signed(
+        divide_towards_zero(lower * FULL_SCALE + value * (upper - lower), FULL_SCALE)
+    )
 
 
-def cut(dividend: int, divisor: int) -> int:
+def divide_towards_zero(dividend: int, divisor: int) -> int:
     """Return `dividend` / `divisor`, rounded towards 0 (// would round down: -7 / 2 is -3 here)."""
     quotient = abs(dividend) // divisor
     return quotient if dividend >= 0 else -quotient
 
 
-def limited(value: int) -> int:
+def nearest_signed(value: int) -> int:
     """Return the number nearest to `value` that a signed register can hold."""
     return min(max(value, _LOWEST), _HIGHEST)
 

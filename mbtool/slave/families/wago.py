@@ -64,7 +64,11 @@ read them back and where they are stored."""
 _SIZES = range(0x1022, 0x1026)
 """Registers with the sizes, in bits, of analog outputs and inputs, digital outputs and inputs."""
 _OUTPUT_BASE = 0x0200
-_WORDS, _BITS = 0x0100, 0x0200
+"""The first address at which registers or coils show outputs; that of inputs is 0."""
+_WORD_COUNT = 0x0100
+"""The number of registers, from the first address on, that show inputs or outputs."""
+_BIT_COUNT = 0x0200
+"""The most digital inputs or outputs that are shown in registers, too."""
 _WORD_BITS = 16
 
 
@@ -137,8 +141,8 @@ def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
         if digital:
             first = base + -(-analog // _WORD_BITS)
-            count = min(digital, _BITS)
-            end = min(first + -(-count // _WORD_BITS), base + _WORDS)
+            count = min(digital, _BIT_COUNT)
+            end = min(first + -(-count // _WORD_BITS), base + _WORD_COUNT)
             parts.append((base, range(first, end), range(base, base + count)))
     return parts
 
@@ -180,7 +184,7 @@ def stored_range(table: Table, span: range) -> range:
 #     outputs stay as they are when the ordinary watchdog expires
 #     1009H (close sockets when the watchdog expires) is stored without effect
 #
-# There is no timer: at each request, the watchdog checks if its time has passed.
+# There is no timer: at each request, the watchdog checks whether its time has passed.
 
 TIME = 0x1000
 MASKS = range(0x1001, 0x1003)

@@ -110,7 +110,7 @@ class Host(Protocol):
     def note_left(self, connection: MasterConnection) -> None:
         """Called when a connection has ended."""
 
-    def follow_rules(self) -> None:
+    def apply_changed_rules(self) -> None:
         """Called after the rules changed: apply the times that they give, and take no connection
         for as long as they say.
         """
@@ -198,7 +198,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._watch_idle()
         self.plan_end()
         if self._rules.changed:
-            self._shell.follow_rules()
+            self._shell.apply_changed_rules()
 
     def get_buffer(self, sizehint: int) -> memoryview:
         return self._buffer
@@ -211,7 +211,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         if self._rules.ends_some:
             self.plan_end()
         if self._rules.changed:
-            self._shell.follow_rules()
+            self._shell.apply_changed_rules()
         if self._pending:
             self._send_due()
 
@@ -241,7 +241,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.note_left(self)
             if self._rules.changed:
-                self._shell.follow_rules()
+                self._shell.apply_changed_rules()
 
     # The following methods are called by the methods above.
 
@@ -496,7 +496,7 @@ class TcpSlave(Shell):
     def note_left(self, connection: MasterConnection) -> None:
         self.connections.discard(connection)
 
-    def follow_rules(self) -> None:
+    def apply_changed_rules(self) -> None:
         self.rules.changed = False
         for connection in self.connections:
             connection.keep_alive(self.rules.keep_alive)
@@ -506,7 +506,7 @@ class TcpSlave(Shell):
 
     def after_rules_applied(self, ends: Callable[[], None]) -> None:
         if self.rules.changed:
-            self.follow_rules()
+            self.apply_changed_rules()
         if self._closed_s() > 0 and not self._is_closed:
             self._once_closed.append(ends)
         else:

@@ -28,7 +28,7 @@ from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.troubles.broken_rules import Summaries, where
 from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
-from mbtool.values.value_series import ValueSeries, thinned
+from mbtool.values.value_series import ValueSeries, thin_samples
 from mbtool.values.values import Values
 from mbtool.views.advice_lines import advice_lines
 from mbtool.views.differences import what_text
@@ -52,9 +52,9 @@ MAX_ROWS = 1000
 MAX_CASES = 5
 MAX_BINS = 300
 REQUESTS_IN_BIN = 5
-"""A chart has at most as many bins as give each this many requests in the mean. Narrower bins would
-show single requests, as a comb; much wider ones would leave a capture of 100 requests only a
-few."""
+"""The bins of a chart have at least this many requests on average. In narrower bins a chart would
+show single requests, as a comb; in much wider ones a capture of 100 requests would have only a few
+bins."""
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {
@@ -274,7 +274,7 @@ def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
         "count": bins.bins,
         "units_left_out": max(len(known) - MAX_UNITS, 0),
         "counted": len(known),
-        "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
+        "all": {name: _sums_of_bins(bins, known, place) for name, place in _FAILURES.items()},
         "units": [_unit_columns(bins, row) for row in known[:MAX_UNITS]],
         "links": [
             _link_columns(contents, bins, link) for link in links[:MAX_UNITS] if link.has_times
@@ -312,7 +312,7 @@ def _rank(unit: UnitAccount) -> tuple[int, int]:
     return unit.bins.total(UnitSum.REQUESTS), unit.bins.total(*_FAILURES.values())
 
 
-def _added(bins: Chart, units: Sequence[UnitAccount], place: int) -> list[int]:
+def _sums_of_bins(bins: Chart, units: Sequence[UnitAccount], place: int) -> list[int]:
     """Return one sum of all these units for each bin."""
     added = [0] * bins.bins
     for unit in units:
@@ -390,7 +390,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
                 "texts": [[value, text] for value, text in one.texts.items()],
                 "samples": [
                     [(sample.ts_ns - begin_ns) // 1_000_000, sample.value]
-                    for sample in thinned(one.samples, most)
+                    for sample in thin_samples(one.samples, most)
                 ],
             }
             for key, one in moving.items()

@@ -33,7 +33,8 @@ class FileVerdict:
     level: str
     """`unread`, or the level of a judgement: `bad`, `doubt` or `well`."""
     sentence: str
-    """The worst trouble, or that there is none, or why the file could not be read."""
+    """The worst trouble, or the statement that there is no trouble, or the reason why the file
+    could not be read."""
     troubles: int = 0
     transactions: int = 0
     failed: int = 0

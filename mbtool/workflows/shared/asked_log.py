@@ -20,8 +20,9 @@ from mbtool.ports.clock import steady_clock
 if TYPE_CHECKING:
     from mbtool.devices import Assignments
 
-_OURS = "own"
-"""Stands behind the name of the line in the name of the link that has our requests."""
+_OUR_LINK_SUFFIX = "own"
+"""The log has two links for the line: one with its name, for what other masters send and get, and
+one for our requests and their answers, whose name also has this word."""
 
 
 class AskedLog:
@@ -32,7 +33,7 @@ class AskedLog:
     ) -> None:
         """Create the file. Raises UsageError if it cannot be created."""
         self._log = create_log(path, [link], devices, overwrite=overwrite, evidence_only=True)
-        self._names = {False: link.name, True: f"{link.name}-{_OURS}"}
+        self._names = {False: link.name, True: f"{link.name}-{_OUR_LINK_SUFFIX}"}
         self._log.add_link(self._names[True], {SPEC: str(link)})
         self._ahead_ns = steady_clock()() - time.monotonic_ns()
         """UTC minus the monotonic clock, in ns, measured once."""

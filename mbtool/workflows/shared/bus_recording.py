@@ -83,7 +83,7 @@ def read_pieces(
     if lines:
         begun = _begun_on_line(path, options.reading, lines.pop(), link, on_remark)
     else:
-        begun = _framed(transactions, is_ascii=link.ascii)
+        begun = _begun_frames(transactions, is_ascii=link.ascii)
         if any(one.unit == 0 and one.response_raw is not None for one in transactions):
             on_remark(
                 f"{path}: unit 0 answers in it, but on a serial line unit 0 is a broadcast: "
@@ -111,7 +111,7 @@ def _demand_one_line(path: str, lines: set[str], transactions: list[NamedTransac
         )
 
 
-def _framed(transactions: Iterable[NamedTransaction], *, is_ascii: bool) -> list[Begun]:
+def _begun_frames(transactions: Iterable[NamedTransaction], *, is_ascii: bool) -> list[Begun]:
     adu = ascii_adu if is_ascii else rtu_adu
     begun: list[Begun] = []
     last_ns = 0
@@ -148,7 +148,7 @@ def _begun_on_line(
                 right = f"{'ascii' if line.ascii else 'rtu'}:{link.port}@{line.format}"
                 raise UsageError(f"{path}: was recorded as {line}; play it on {right}")
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
-            pieces += _cut(chunk, line.format)
+            pieces += _cut_chunk(chunk, line.format)
     except (CutError, DamageError):
         pass  # `read_recorded` has already told the user that the file is cut or damaged.
     if untimed:
@@ -178,7 +178,7 @@ class _Heard(NamedTuple):
     silence_ns: int
 
 
-def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
+def _cut_chunk(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
     """Cut a chunk into pieces of at most MAX_PIECE bytes, each with its own times."""
     character_ns = line.character_ns
     begin_ns = chunk.ts_ns

@@ -71,7 +71,7 @@ class Part:
 
 
 class Seam:
-    """The facts about the capture read so far that decide if the next file continues it.
+    """The facts about the capture read so far that decide whether the next file continues it.
 
     These are the times of the first and the last item (packet or chunk), and the link types of all
     packets.

@@ -123,7 +123,7 @@ class EvidenceReading(Reading):
                 else:
                     frames.sort(key=lambda one: (one.ts_ns, one.number))
 
-    def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
+    def _evidence_to_decode(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
         for item in evidence_pieces(items, self._types, self._usb):
             self.marks.items += 1
             if self._decoder is not None:
@@ -279,7 +279,7 @@ def read_evidence(
 ) -> Iterator[Chunk | Packet | WireEvent]:
     """Yield the packets, chunks and events of the files in order, without decoding them.
 
-    Of a cut or damaged file, yield those before the damage, and raise no error.
+    If a file is cut or damaged, yield those before the damage, and raise no error.
     """
     types = serial_types(options.line)
     for path in paths:

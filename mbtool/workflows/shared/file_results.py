@@ -166,8 +166,8 @@ class FileResults:
     def table(self) -> list[str]:
         """Return the lines of a text table: a heading, and a line for each file.
 
-        Empty if there is only one file, or if none was opened. Of more than MAX_LISTED files, only
-        those have a line that could not be read to their ends, or have no Modbus.
+        Empty if there is only one file, or if none was opened. If there are more than MAX_LISTED
+        files, only those have a line that could not be read to their ends, or have no Modbus.
         """
         if len(self._paths) < 2 or not self._opened:
             return []

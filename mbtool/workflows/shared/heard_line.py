@@ -58,7 +58,9 @@ class HeardLine:
 
     @property
     def doubt(self) -> str | None:
-        """A line for the user that asks if the baud rate is right; None if no pieces overlap."""
+        """A line for the user that asks whether the baud rate is right; None if no pieces
+        overlap.
+        """
         if not self._overlaps:
             return None
         return (

@@ -97,7 +97,7 @@ class _LineBytes:
 
 class ExactTimes:
     """Counts the bytes of each serial line that come too soon after the byte before them, and so
-    decides if the line's times are exact.
+    decides whether the line's times are exact.
     """
 
     def __init__(self) -> None:
@@ -337,7 +337,9 @@ class Reading:
         packets = chain(first, packets)
         head = capture.head
         if head is None:
-            return self._decoded(self._heard_packets(capture, packets), Part(), self._own_decoder)
+            return self._decode_file(
+                self._heard_packets(capture, packets), Part(), self._own_decoder
+            )
         self.results.note_head(capture.name, head)
         self.assignments = all_assignments(head, self._options.assignments)
         return self._decoded_again(head, reads_of(packets), Part(0))
@@ -381,18 +383,18 @@ class Reading:
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of
         decoder.begin_line(line.link_at(capture.link))
-        for piece in self._fed(pieces):
+        for piece in self._evidence_to_decode(pieces):
             self._items += 1
             yield from decoder.feed(piece)
         yield from self._end_capture()
 
-    def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
+    def _evidence_to_decode(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
         """Return the items to decode; a subclass may override this to see or change them."""
         return items
 
     def _heard_packets(self, capture: CaptureFile, packets: Iterator[Packet]) -> Iterator[Packet]:
         """Yield the packets unchanged. Count those with bytes of a serial line, and use these to
-        check if the assumed baud rate is too low.
+        check whether the assumed baud rate is too low.
         """
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
@@ -417,7 +419,7 @@ class Reading:
                 "to change their silences use --raw with --t3-5"
             )
 
-    def _decoded(
+    def _decode_file(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
         """Decode a file with the decoder of the file before, if both are of the same capture; else
@@ -427,7 +429,7 @@ class Reading:
             yield from self._end_capture()
         self._part = part
         is_first = True
-        for item in self._fed(evidence):
+        for item in self._evidence_to_decode(evidence):
             if is_first and not self._seam.is_continued_by(item):
                 self._note_order(item)
                 yield from self._end_capture()
@@ -528,4 +530,4 @@ class Reading:
                 across=ACROSS in log.capture,
             )
 
-        yield from self._decoded(evidence, part, begin)
+        yield from self._decode_file(evidence, part, begin)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, LineSettings, SerialLink, WireEvent
 from mbtool.serial_line.settings_fit import (
-    ENOUGH,
+    ENOUGH_BYTES,
     ENOUGH_WITHOUT_FRAME,
     LIKELY_FIT,
     SettingsScore,
@@ -36,7 +36,7 @@ MAX_READ_SHARE = LIKELY_FIT
 ANSWERED = 5
 """If at least this many requests, and half of all, are answered, the line settings are not called
 wrong, whatever else is on the line."""
-SAMPLE_BYTES = SOON_BYTES = ENOUGH
+SAMPLE_BYTES = SOON_BYTES = ENOUGH_BYTES
 SOON_NS = 3_000_000_000
 
 _RTU_DATA_BITS = 8

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.checking.security_limits import SecurityLimit
-from mbtool.devices.checking.sliding_window import KEPT, SlidingWindow
+from mbtool.devices.checking.sliding_window import KEPT_RATIO, SlidingWindow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,7 +44,7 @@ def test_cases_in_order_are_counted_if_a_full_window_has_them(
 def test_cases_out_of_order_are_counted_if_and_only_if_a_window_is_full(
     times: list[int], number: int, span: int
 ) -> None:
-    times = times[: KEPT // 2 * number]  # No more than are kept for certain.
+    times = times[: KEPT_RATIO // 2 * number]  # No more than are kept for certain.
     found, first = counted(times, number, span)
     assert bool(found) == bool(in_full_windows(times, number, span))
     assert found <= len(times)
@@ -66,4 +66,4 @@ def test_memory_is_bounded() -> None:
     window = SlidingWindow(SecurityLimit(10, 5))
     for at_ns in range(100_000):
         window.add(at_ns)
-    assert len(window._times) < KEPT * 10
+    assert len(window._times) < KEPT_RATIO * 10

@@ -9,7 +9,7 @@ from mbtool.devices.checking import unpolled
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.security_cases import SecurityCases
 from mbtool.devices.checking.security_limits import SecurityLimit
-from mbtool.devices.checking.unpolled import MAX_ATTEMPTS, MAX_THINGS, OPENED, Unpolled
+from mbtool.devices.checking.unpolled import MAX_ATTEMPTS, MAX_TARGETS, OPENED, Unpolled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -138,7 +138,7 @@ def test_a_connection_for_each_poll_is_a_poll() -> None:
 def test_the_oldest_things_are_counted_where_there_are_too_many(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(unpolled, "MAX_THINGS", 100)
+    monkeypatch.setattr(unpolled, "MAX_TARGETS", 100)
     asked = Asked()
     for item in range(10_000):
         asked.ask(item)
@@ -148,6 +148,6 @@ def test_the_oldest_things_are_counted_where_there_are_too_many(
 
 def test_memory_is_bounded() -> None:
     asked = Asked()
-    for item in range(MAX_THINGS + 10):
+    for item in range(MAX_TARGETS + 10):
         asked.things.set_polled(SCOPE, item)
-    assert len(asked.things._polled) == MAX_THINGS
+    assert len(asked.things._polled) == MAX_TARGETS

@@ -106,6 +106,11 @@ def test_headings_are_looked_for_in_the_first_rows_only() -> None:
         find_sheet("x\n" * MAX_PREAMBLE + "address,name\n", "map.csv")
 
 
+def test_a_row_of_very_many_columns_is_refused_at_once() -> None:
+    with pytest.raises(UsageError, match="more than 1,000 columns"):
+        find_sheet("address," * 50_000, "map.csv")
+
+
 def test_cells_may_have_line_ends_in_quotes() -> None:
     sheet = find_sheet('address,name\n1,"two\nlines"\n', "map.csv")
     assert sheet.rows[1] == ["1", "two\nlines"]

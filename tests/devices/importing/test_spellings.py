@@ -155,3 +155,8 @@ def test_an_order_is_known(text: str, order: Order | None) -> None:
 def test_any_text_is_a_type_or_none(text: str, registers: int | None) -> None:
     parse_type(text, registers)
     parse_order(text)
+
+
+def test_a_very_long_cell_names_no_type() -> None:
+    assert parse_type(f"STRING[{'9' * 5000}]") is None
+    assert parse_type(f"UINT{'9' * 5000}") is None

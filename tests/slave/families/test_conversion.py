@@ -14,7 +14,7 @@ from mbtool.slave.families.fa3 import (
     MovingMean,
     PeriodMean,
     Sampling,
-    cut,
+    divide_towards_zero,
     scaled,
 )
 
@@ -45,7 +45,7 @@ def test_scaling_cuts_the_fraction_off(value: int, lower: int, upper: int, gives
 
 @given(st.integers(-(10**12), 10**12), st.integers(1, 10**9))
 def test_a_fraction_is_cut_off_towards_zero(dividend: int, divisor: int) -> None:
-    assert cut(dividend, divisor) == int(Fraction(dividend, divisor))
+    assert divide_towards_zero(dividend, divisor) == int(Fraction(dividend, divisor))
 
 
 def test_sampling_gives_each_value_at_once() -> None:
