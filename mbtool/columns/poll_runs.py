@@ -152,7 +152,6 @@ class BlockRun(QuietRun):
     def rows(self) -> RunRows:
         polls, some = self._polls, self._some
         return RunRows(
-            [polls.ends[one] for one in polls.connection[some].tolist()],
             polls.asked[some].tolist(),
             polls.usual.exception[some].tolist(),
             polls.rows.request_ns[some].tolist(),
@@ -254,6 +253,9 @@ class BlockRun(QuietRun):
         places = _slowest(latency, least_ns, most, self._polls.poll[self._some])
         return [*zip(places.tolist(), latency[places].tolist(), strict=True)]
 
+    def ends(self, place: int) -> tuple[str, str, str]:
+        return self._polls.ends[self._polls.connection.item(self._begin + place)]
+
     def like(self, place: int) -> NamedTransaction:
         polls, row = self._polls, self._begin + place
         rows, usual, (likes, form) = polls.rows, polls.usual, polls.forms
@@ -265,7 +267,7 @@ class BlockRun(QuietRun):
         return structs.replace(
             likes[form.item(row)],
             file=rows.block.file,
-            source=polls.ends[polls.connection.item(row)][1],
+            source=self.ends(place)[1],
             transaction_id=rows.transaction_id.item(row),
             request_ns=begin_ns,
             response_ns=end_ns,

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from itertools import chain
 from operator import add
 from typing import TYPE_CHECKING
 
@@ -413,14 +414,15 @@ class Account:
         """
         rows, by_time = run.rows, run.rows.request_ns.__getitem__
         of_units: dict[UnitAccount, list[int]] = {}
-        of_links: dict[str, list[int]] = {}
+        of_links: dict[str, list[list[int]]] = {}
         for form, use in zip(run.forms, uses, strict=True):
-            of_units.setdefault(use.unit, []).extend(form.places)
-            of_links.setdefault(form.like.link, []).extend(form.places)
+            if use.unit not in of_units:
+                of_links.setdefault(form.like.link, []).append(of_units.setdefault(use.unit, []))
+            of_units[use.unit].extend(form.places)
         for unit, places in of_units.items():
             places.sort(key=by_time)
-            latencies_ns = [rows.latencies_ns[place] for place in places]
-            refused = [rows.exceptions[place] >= 0 for place in places]
+            latencies_ns = [*map(rows.latencies_ns.__getitem__, places)]
+            refused = [rows.exceptions[place] >= 0 for place in places] if run.refused else []
             for cell, begin, end in unit.bins.cells_of([*map(by_time, places)]):
                 some, exceptions = latencies_ns[begin:end], sum(refused[begin:end])
                 cell[UnitSum.REQUESTS] += end - begin
@@ -429,9 +431,12 @@ class Account:
                 cell[UnitSum.EXCEPTION] += exceptions
                 cell[UnitSum.LATENCY_NS] += sum(some)
                 cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
-        for link, places in of_links.items():
-            places.sort(key=by_time)
-            sizes = [rows.request_bytes[place] + rows.response_bytes[place] for place in places]
+        for link, several in of_links.items():
+            places = several[0]
+            if len(several) > 1:
+                places = sorted(chain.from_iterable(several), key=by_time)
+            asking = map(rows.request_bytes.__getitem__, places)
+            sizes = [*map(add, asking, map(rows.response_bytes.__getitem__, places))]
             for cell, begin, end in self.links[link].bins.cells_of([*map(by_time, places)]):
                 cell[LinkSum.REQUESTS] += end - begin
                 cell[LinkSum.BYTES] += sum(sizes[begin:end])
@@ -555,15 +560,13 @@ class Account:
 
 def _count(run: QuietRun, places: list[int], tally: RequestTally) -> None:
     """Count requests of `run`."""
-    forms: dict[int, list[int]] = {}
-    for place in places:
-        forms.setdefault(run.form[place], []).append(place)
-    rows = run.rows
-    for form, some in forms.items():
-        request_bytes = sum(rows.request_bytes[place] for place in some)
-        response_bytes = sum(rows.response_bytes[place] for place in some)
+    rows, forms = run.rows, dict.fromkeys(map(run.form.__getitem__, places))
+    for form in forms:
+        some = places if len(forms) == 1 else [one for one in places if run.form[one] == form]
+        request_bytes = sum(map(rows.request_bytes.__getitem__, some))
+        response_bytes = sum(map(rows.response_bytes.__getitem__, some))
         tally.count_alike(run.forms[form].like, len(some), request_bytes, response_bytes)
-    tally.latency.add_all([rows.latencies_ns[place] for place in places])
+    tally.latency.add_all([*map(rows.latencies_ns.__getitem__, places)])
 
 
 def _size(one: NamedTransaction) -> int:

@@ -289,8 +289,8 @@ class ValueFaults(Sense):
 
     def run(self, run: QuietRun) -> None:
         rows = run.rows
-        for place in [place for place, code in enumerate(rows.exceptions) if code >= 0]:
-            asked, (link, _, _) = rows.asked[place], rows.ends[place]
+        for place in run.refused:
+            asked, (link, _, _) = rows.asked[place], run.ends(place)
             function, address = FUNCTIONS[asked >> 32 & 0xFF], asked >> 16 & 0xFFFF
             table = function.table if function.writes else None
             if table is not None and not table.is_bits:

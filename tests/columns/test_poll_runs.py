@@ -227,7 +227,7 @@ def test_the_values_of_a_poll_leave_out_its_refused_requests() -> None:
     with patch.object(quiet_rows, "FEWEST", 3):
         parts = [one for one in quiet_parts(several_polls()) if isinstance(one, BlockRows)]
     for part in parts:
-        refused += sum(code >= 0 for code in part.run.rows.exceptions)
+        refused += len(part.run.refused)
         for index, (_, _, function, _, quantity) in enumerate(part.reads.asked):
             one = part.reads[index]
             if function == 3:

@@ -18,6 +18,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
+from mbtool.modbus.functions import FUNCTIONS
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
@@ -76,8 +78,6 @@ class AlikeRequests(NamedTuple):
 class RunRows(NamedTuple):
     """The fields of the transactions of a run, in the order of the responses."""
 
-    ends: list[tuple[str, str, str]]
-    """Link, HOST:PORT of the master, and HOST:PORT of the slave."""
     asked: list[int]
     """`asked_number` of the request."""
     exceptions: list[int]
@@ -168,6 +168,18 @@ class QuietRun(Protocol):
                 form[place] = index
         return form
 
+    @cached_property
+    def writes(self) -> list[int]:
+        """The places of the writes."""
+        forms = (one for one in self.forms if FUNCTIONS[one.like.function].writes)
+        return sorted(place for one in forms for place in one.places)
+
+    @cached_property
+    def refused(self) -> list[int]:
+        """The places of the transactions whose response is an exception."""
+        forms = (one for one in self.forms if one.like.exception is not None)
+        return sorted(place for one in forms for place in one.places)
+
     @property
     def last_request_ns(self) -> int:
         return max(one.last_request_ns for one in self.connections)
@@ -187,6 +199,9 @@ class QuietRun(Protocol):
         """Return place and latency of each transaction that took `least_ns` or longer, in order; of
         each poll at most `most`, the longest ones.
         """
+
+    def ends(self, place: int) -> tuple[str, str, str]:
+        """Return the link, the HOST:PORT of the master, and the HOST:PORT of the slave."""
 
     def like(self, place: int) -> NamedTransaction:
         """Make a transaction, but with the values and bytes of one with the same function."""

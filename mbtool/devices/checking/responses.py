@@ -175,8 +175,8 @@ class ResponseRules:
         if pending:
             if not all(self._has_responded[link, unit][0] for link, unit, _ in pending):
                 return False
-            rows = zip(run.rows.ends, run.rows.asked, strict=True)
-            asked = {(link, number >> 16) for (link, _, _), number in rows}
+            rows = enumerate(run.rows.asked)
+            asked = {(run.ends(place)[0], number >> 16) for place, number in rows}
             for link, unit, pdu in pending:
                 address = int.from_bytes(pdu[1:3], "big")
                 if (link, asked_number(unit, pdu[0], address, 0) >> 16) in asked:

@@ -153,10 +153,8 @@ class ScanRules:
         if unpolled:
             self._note_units(run, unpolled)
         rows = run.rows
-        for place, exception in enumerate(rows.exceptions):
-            if exception < 0:
-                continue
-            _, source, slave = rows.ends[place]
+        for place in run.refused:
+            exception, (_, source, slave) = rows.exceptions[place], run.ends(place)
             asked = rows.asked[place]
             scope, function = (host_of(source), slave, asked >> 40), asked >> 32 & 0xFF
             things: Unpolled[NamedTransaction] = self._registers
@@ -175,9 +173,8 @@ class ScanRules:
         ends and units.
         """
         units: dict[_AskedUnit, list[int]] = {}
-        for place, ((_, source, slave), asked) in enumerate(
-            zip(run.rows.ends, run.rows.asked, strict=True)
-        ):
+        for place, asked in enumerate(run.rows.asked):
+            _, source, slave = run.ends(place)
             unit = asked >> 40
             if (source, slave, unit) in unpolled:
                 units.setdefault((host_of(source), slave, unit), []).append(place)

@@ -69,11 +69,9 @@ class SecurityRules:
         """Count many transactions together, with the same result as `transaction` for each."""
         rows = run.rows
         writes = []
-        for place, asked in enumerate(rows.asked):
-            if not FUNCTIONS[asked >> 32 & 0xFF].writes:
-                continue
+        for place in run.writes:
             write = Write(rows.request_ns[place], run.packets(place), partial(run.like, place))
-            _, source, slave = rows.ends[place]
+            _, source, slave = run.ends(place)
             writes.append((host_of(source), slave, write))
         self._masters.run(run, writes)
         self._commands.run(writes)

@@ -250,18 +250,17 @@ class TransactionRows:
         """
         rows, before = run.rows, self.transactions
         first = len(run) if self._everything else min(max(FIRST - before, 0), len(run))
-        refused = [place for place, code in enumerate(rows.exceptions) if code >= 0]
-        self.with_trouble += len(refused)
+        self.with_trouble += len(run.refused)
         kept = dict.fromkeys(range(first))
-        for place in refused:
-            kind = rows.ends[place][0], rows.asked[place] >> 40, Outcome.EXCEPTION.value
+        for place in run.refused:
+            kind = run.ends(place)[0], rows.asked[place] >> 40, Outcome.EXCEPTION.value
             if place >= first and self._is_wanted(kind):
                 kept[place] = None
         for place, one in zip(kept, transactions_at([*kept]), strict=True):
             self._keep(before + 1 + place, one, {}, None)
         for place, latency_ns in run.slow(LATE_NS):
             if place not in kept:
-                unit = UnitKey(rows.ends[place][0], rows.asked[place] >> 40)
+                unit = UnitKey(run.ends(place)[0], rows.asked[place] >> 40)
                 make = partial(_only, transactions_at, place)
                 self._late.offer(unit, latency_ns, before + 1 + place, make)
         self.transactions += len(run)
