@@ -33,7 +33,6 @@ from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
 from mbtool.serial_line.bus_state import DOUBT_BITS, BusState
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow, Candidates, FrameCandidate
-from mbtool.serial_line.frame_costs import frame_cost
 from mbtool.serial_line.paths import (
     Path,
     Segment,
@@ -321,9 +320,8 @@ class PathSearch:
         end = segment.offset + segment.size
         if not self._is_speaker_known:
             unit, role = self._data[segment.offset], segment.role
-            start_ns, history = frame.start_ns, self._model.history
-            by_state, by_time = frame_cost(history, state, unit, frame.pdu, role, start_ns)
-            cost += by_state + by_time
+            start_ns = frame.start_ns
+            cost += self._model.cost(state, unit, frame.pdu, role, start_ns)
             if path.cost + cost > self._limit:
                 return
             inside_ns = frame.inside_ns
