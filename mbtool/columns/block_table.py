@@ -4,6 +4,7 @@ completed them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from mbtool.columns.arrays import Bools, Int64s, Octets, distinct, pieces
-from mbtool.columns.column_decoder import result_sort_keys
-from mbtool.columns.plain_transactions import PlainObjects, origin_fields
+from mbtool.columns.column_decoder import DecodedBlock, result_sort_keys
+from mbtool.columns.plain_transactions import PlainObjects, RowObjects, origin_fields
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
 from mbtool.columns.usual_values import UsualValues, ValueLists
@@ -24,11 +25,7 @@ from mbtool.modbus.functions import exception_name
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.plain_transactions import RowObjects
 
 # Makes a pyarrow table of the transactions that were read from arrays.
 #

@@ -27,36 +27,29 @@ other packets that may carry Modbus to the Decoder.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import narrow
+from mbtool.columns.arrays import Bools, Int64s, narrow
 from mbtool.columns.decoded_rows import with_decoded
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
-from mbtool.columns.headers import read_headers
+from mbtool.columns.headers import Headers, Segments, read_headers
 from mbtool.columns.passed_connections import PassedConnections, take_whole_connections
 from mbtool.columns.plain_rows import PlainRows, TransactionArrays
-from mbtool.columns.stretches import find_stretches
-from mbtool.core import WireEvent
-from mbtool.decode.decoder import Record
+from mbtool.columns.stretches import Stretches, find_stretches
+from mbtool.core import Connection, WireEvent
+from mbtool.decode.decoder import Decoder, Record
 from mbtool.decode.plain_stretch import NO_LIMITS
-from mbtool.packets.connection import PATIENCE_NS
+from mbtool.packets.connection import PATIENCE_NS, TcpConnection
 from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS
 from mbtool.packets.segment import RST, SYN
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from mbtool.columns.arrays import Bools, Int64s
-    from mbtool.columns.headers import Headers, Segments
     from mbtool.columns.packet_block import PacketBlock
-    from mbtool.columns.stretches import Stretches
-    from mbtool.core import Connection
-    from mbtool.decode.decoder import Decoder
-    from mbtool.packets.connection import TcpConnection
 
 SMALLEST = 256
 """A part of a block with at most this many packets is not cut further: the Decoder gets all its

@@ -11,26 +11,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbtool.columns.packet_block import SPARE
+from mbtool.columns.packet_block import SPARE, PacketBlock
 from mbtool.columns.plain_rows import PER_ROW, PlainRows, link_addresses_of, link_headers
-from mbtool.core import WireEvent
+from mbtool.core import Connection, WireEvent
 from mbtool.modbus.adu import MBAP_BYTES, DirectionBy, Transport
 from mbtool.modbus.functions import READ_BITS, READ_REGISTERS, WRITE_ONE, WRITE_SEVERAL
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.columns.arrays import Int64s, Octets
     from mbtool.columns.headers import Segments
-    from mbtool.columns.packet_block import PacketBlock
-    from mbtool.core import Connection
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 

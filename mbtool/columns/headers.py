@@ -16,20 +16,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s, Uint64s, gather
-from mbtool.columns.flows import PORT_AT
+from mbtool.columns.flows import PORT_AT, Addresses
 from mbtool.packets.link_layer import FAMILIES
 from mbtool.packets.segment import TCP
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mbtool.columns.flows import Addresses
     from mbtool.columns.packet_block import PacketBlock
 
 _IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}

@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, BinaryIO
@@ -21,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mbtool.columns.arrays import Int64s, Octets, gather
-from mbtool.core import InputError, Packet
+from mbtool.core import DamageError, InputError, Packet
 from mbtool.core.moments import SECOND_NS
 from mbtool.packets.capture import read_capture
 from mbtool.packets.pcap import (
@@ -39,9 +40,6 @@ from mbtool.packets.pcap import (
 from mbtool.packets.pcapng import BLOCK_ENHANCED, MAX_BLOCK, PCAPNG_MAGIC, PcapngReader
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.core import DamageError
     from mbtool.packets.pcapng import PcapngInterface
 
 BLOCK_PACKETS = 65_536

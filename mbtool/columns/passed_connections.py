@@ -4,6 +4,7 @@ not fed to it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from ipaddress import ip_address
@@ -12,23 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s
-from mbtool.core import Connection, Direction, Endpoint
-from mbtool.decode.decoder import closing_event, opening_event
+from mbtool.core import Connection, Direction, Endpoint, WireEvent
+from mbtool.decode.decoder import Decoder, Record, closing_event, opening_event
 from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.packets.ended_connection import EndedConnection
-from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS
+from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, FlowEnds
 from mbtool.packets.segment import ACK, FIN, SYN
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.columns.flows import FlowNumbers
     from mbtool.columns.headers import Headers, Segments
     from mbtool.columns.stretches import Stretches
-    from mbtool.core import WireEvent
-    from mbtool.decode.decoder import Decoder, Record
-    from mbtool.packets.reassembler import FlowEnds
 
 
 @dataclass(slots=True)

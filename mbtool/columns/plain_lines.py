@@ -15,29 +15,24 @@ from __future__ import annotations
 
 import secrets
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from mbtool.columns.arrays import pieces
-from mbtool.columns.column_decoder import result_sort_keys
-from mbtool.columns.plain_transactions import PlainObjects
-from mbtool.columns.usual_values import UsualValues
+from mbtool.columns.arrays import Int64s, pieces
+from mbtool.columns.column_decoder import DecodedBlock, result_sort_keys
+from mbtool.columns.plain_transactions import PlainObjects, RowObjects
+from mbtool.columns.usual_values import UsualValues, ValueLists
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from mbtool.columns.arrays import Int64s
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.plain_transactions import RowObjects
-    from mbtool.columns.usual_values import ValueLists
 
 MAX_LINES = 65_536
 """If there are more templates than this, all are forgotten before the next block."""

@@ -4,6 +4,7 @@ arrays.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +12,6 @@ import numpy as np
 from mbtool.columns.poll_runs import items_in_packet_order
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_transactions import PlainObjects
     from mbtool.decode.decoder import Record

@@ -11,7 +11,7 @@ import numpy as np
 from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.packet_block import PacketBlock
 from mbtool.core import Connection, LinkAddresses
-from mbtool.decode.plain_stretch import PlainStretch
+from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
 from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.packets.link_layer import link_addresses
 from mbtool.packets.plain_bytes import PlainBytes
@@ -20,7 +20,6 @@ from mbtool.packets.stream import RECENT_BYTES
 if TYPE_CHECKING:
     from mbtool.columns.headers import Segments
     from mbtool.columns.stretches import Stretches
-    from mbtool.decode.plain_stretch import PlainLimits
 
 _UNIT_AT = MBAP_BYTES - 1
 """The offset in bytes of the unit in an ADU of Modbus/TCP."""

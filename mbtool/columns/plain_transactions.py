@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,20 +21,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from msgspec import structs
 
-from mbtool.columns.plain_rows import link_addresses_of
-from mbtool.columns.usual_values import UsualValues
-from mbtool.core import Direction, Origin
+from mbtool.columns.plain_rows import PlainRows, link_addresses_of
+from mbtool.columns.usual_values import UsualValues, ValueLists
+from mbtool.core import Direction, LinkAddresses, Origin
 from mbtool.decode.transactions import Ends, add_origins, with_response
 from mbtool.modbus.adu import MBAP_BYTES, Adu, DirectionBy, Transport
 from mbtool.packets.link_layer import MAX_CACHED_HEADERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.columns.arrays import Bools, Int64s
-    from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.usual_values import ValueLists
-    from mbtool.core import LinkAddresses
     from mbtool.devices import NamedTransaction, Namer
     from mbtool.modbus.transaction import Transaction
 

@@ -13,6 +13,7 @@ object of each.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache
 from itertools import chain, count, islice, repeat
 from typing import TYPE_CHECKING, TypeVar
@@ -20,9 +21,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from msgspec import structs
 
-from mbtool.columns.arrays import Groups
+from mbtool.columns.arrays import Bools, Groups, Int64s, Numbers
 from mbtool.columns.column_decoder import result_sort_keys
-from mbtool.columns.plain_transactions import origin_fields
+from mbtool.columns.plain_transactions import RowObjects, origin_fields
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.quiet_run import (
     AlikeRequests,
@@ -35,11 +36,7 @@ from mbtool.devices.references import write_reference
 from mbtool.modbus.functions import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
-
-    from mbtool.columns.arrays import Bools, Int64s, Numbers
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.plain_transactions import RowObjects
     from mbtool.columns.usual_values import UsualValues
     from mbtool.decode.decoder import Record
     from mbtool.devices.checking.quiet_run import (

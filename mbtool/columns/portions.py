@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -18,8 +19,6 @@ from mbtool.columns.usual_rows import WRITE_COILS
 from mbtool.modbus.functions import READ_BITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.columns.arrays import Int64s
     from mbtool.columns.plain_rows import PlainRows
 

@@ -10,6 +10,7 @@ object of each.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import Bools, Groups, Int64s, distinct, narrow
-from mbtool.columns.column_decoder import result_sort_keys
+from mbtool.columns.arrays import Bools, Groups, Int64s, Numbers, distinct, narrow
+from mbtool.columns.column_decoder import DecodedBlock, result_sort_keys
 from mbtool.columns.passed_connections import PassedConnections
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.poll_runs import BlockPolls, BlockRun, Likes
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
+from mbtool.core import Connection, WireEvent
 from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import ConnectionCounts, QuietConnection
 from mbtool.ledger.answered_reads import AnsweredReads, ValueChanges
@@ -32,12 +34,7 @@ from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from mbtool.columns.arrays import Numbers
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.core import Connection, WireEvent
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Namer
 

@@ -4,6 +4,7 @@ packet.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -13,8 +14,6 @@ from mbtool.columns.schema import SCHEMA
 from mbtool.core import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import NamedTransaction
 
 

@@ -11,12 +11,13 @@ slave has.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import gather
-from mbtool.columns.column_decoder import result_sort_keys
+from mbtool.columns.arrays import Bools, Int64s, gather
+from mbtool.columns.column_decoder import DecodedBlock, result_sort_keys
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
@@ -25,10 +26,6 @@ from mbtool.devices.sunspec_map import BASES, MARK, READ_HOLDING, mark_in
 from mbtool.modbus.adu import MBAP_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from mbtool.columns.arrays import Bools, Int64s
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.columns.usual_rows import UsualRows
     from mbtool.decode.decoder import Record

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -18,19 +19,15 @@ import numpy as np
 from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.poll_runs import items_in_packet_order
 from mbtool.columns.sunspec_rows import SunSpecRows
-from mbtool.columns.usual_values import UsualValues
+from mbtool.columns.usual_values import UsualValues, ValueLists
 from mbtool.decode.usual_run import UsualRun
-from mbtool.devices import Namer
+from mbtool.devices import NamedTransaction, Namer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from mbtool.columns.arrays import Int64s
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
-    from mbtool.columns.usual_values import ValueLists
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
 
 F = TypeVar("F")
 

@@ -9,7 +9,7 @@ The rows are those of `PointRow` (api/point_rows.py), which makes them from tran
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,8 +21,6 @@ from mbtool.devices import Profile, write_reference
 from mbtool.modbus import FUNCTIONS, TABLE_FUNCTIONS, Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.columns.arrays import Bools, Int64s
 
 ProfileNamed = Callable[[str], Profile | None]

@@ -17,13 +17,14 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain
 from operator import add
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.ledger.link_statistics import LinkStatistics
-from mbtool.ledger.master_tape import Lacks
+from mbtool.ledger.master_tape import Lacks, MasterTape
 from mbtool.ledger.observation import Observation
 from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.ledger.request_order import RequestOrder
@@ -35,9 +36,6 @@ from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.response import DamagedAnswers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mbtool.core import SerialFormat
     from mbtool.devices.checking.quiet_run import (
         AlikeRequests,
         ConnectionCounts,
@@ -45,7 +43,7 @@ if TYPE_CHECKING:
         Stay,
     )
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.master_tape import MasterTape, TapedPoll
+    from mbtool.ledger.master_tape import TapedPoll
     from mbtool.ledger.request_tally import RequestTally
 
 MAX_POLLS = 2048

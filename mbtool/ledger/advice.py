@@ -12,16 +12,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import linear_regression, mean, median
 from typing import TYPE_CHECKING
 
+from mbtool.core import SerialFormat
 from mbtool.modbus import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from mbtool.core import SerialFormat
     from mbtool.devices import Profile
     from mbtool.ledger.poll_cycle import PollList, PollStep
     from mbtool.ledger.poll_statistics import PollStatistics

@@ -19,6 +19,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,6 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import RUN_INDICATOR
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from mbtool.ledger.inventory_rows import FunctionUse, InventoryDocument, MasterRow, SlaveRow
 
 _UNANSWERED = (Role.SILENT, Role.UNHEARD)

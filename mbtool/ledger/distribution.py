@@ -14,10 +14,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 MAX_BUCKETS = 1024
 """The most buckets of a distribution; beyond it, they become twice as wide."""

@@ -20,21 +20,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted
 from mbtool.devices.block_reads import can_be_read
-from mbtool.devices.profile_match import match_profiles
+from mbtool.devices.profile_match import MatchResult, ProfileMatch, match_profiles
 from mbtool.devices.request_match import compare_with_profile
 from mbtool.ledger.inventory_ranges import listed
 from mbtool.ledger.inventory_rows import ProfileFit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.model import Profile
     from mbtool.devices.observed_slave import ObservedSlave
-    from mbtool.devices.profile_match import MatchResult, ProfileMatch
 
 FITS = 80
 """A profile fits a slave only if its score (0 to 100) is above this."""

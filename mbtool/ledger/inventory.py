@@ -7,11 +7,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.devices.references import write_reference
-from mbtool.ledger.account import OTHER_UNITS
+from mbtool.ledger.account import OTHER_UNITS, Account
 from mbtool.ledger.inventory_ranges import AddressRange, AddressRanges, without
 from mbtool.ledger.inventory_rows import (
     INVENTORY_FORMAT,
@@ -19,12 +20,13 @@ from mbtool.ledger.inventory_rows import (
     IdentityText,
     InventoryDocument,
     MasterRow,
+    ProfileFit,
     Role,
     SlaveRow,
 )
 from mbtool.ledger.observation import UNANSWERED
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.unit_account import UnitAccount, UseAccount
+from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount
 from mbtool.modbus.functions import (
     FUNCTIONS,
     GATEWAY_EXCEPTIONS,
@@ -33,13 +35,8 @@ from mbtool.modbus.functions import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from mbtool.devices import Profile
     from mbtool.devices.observed_slave import ObservedSlave
-    from mbtool.ledger.account import Account
-    from mbtool.ledger.inventory_rows import ProfileFit
-    from mbtool.ledger.unit_account import MasterAccount, UnitKey
 
 _WHOLE_DEVICE = frozenset((0, 255))
 """Unit ids that address the host itself, and not a unit behind it (MODBUS Messaging on TCP/IP

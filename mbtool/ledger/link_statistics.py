@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from mbtool.core import SerialFormat
 
-    from mbtool.core import SerialFormat
+if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.time_bins import Row
     from mbtool.modbus import Transport

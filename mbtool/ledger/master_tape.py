@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from enum import IntEnum
 from itertools import repeat
 from typing import TYPE_CHECKING, cast
@@ -13,8 +14,6 @@ from mbtool.ledger.poll_cycle import Asked, PollLists, find_lists
 from mbtool.ledger.poll_statistics import PollStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.ledger.unit_account import UseAccount
 
     TapedPoll = PollStatistics | UseAccount

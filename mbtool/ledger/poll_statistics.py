@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from heapq import nsmallest
 from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,8 +11,6 @@ from mbtool.ledger.distribution import Distribution
 from mbtool.ledger.request_tally import RequestTally
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.unit_account import UseAccount
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.ledger.account import OTHER_LINKS, OTHER_UNITS
+from mbtool.ledger.account import OTHER_LINKS, OTHER_UNITS, Account
 from mbtool.ledger.bus_load import BusLoad, LineTime, bus_load, line_time
 from mbtool.ledger.poll_cycle import PollLists
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_connections import ConnectionTally
 from mbtool.ledger.time_bins import HourCount
-from mbtool.ledger.unit_account import UnitAccount
+from mbtool.ledger.unit_account import UnitAccount, UseAccount
 from mbtool.modbus import Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.ledger.account import Account
     from mbtool.ledger.master_tape import MasterTape
-    from mbtool.ledger.unit_account import UseAccount
 
 _SERIAL = frozenset(str(one) for one in Transport if one.is_serial)
 

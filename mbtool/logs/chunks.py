@@ -19,14 +19,11 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import zstandard
 
 from mbtool.logs.layout import MAX_RECORD, RECORD_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 MAX_RATIO = 200
 

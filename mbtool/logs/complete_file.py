@@ -22,8 +22,9 @@ from __future__ import annotations
 import errno
 import os
 import zlib
+from collections.abc import Callable
 from threading import Event, Thread
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from mbtool.core import OutputError
 from mbtool.core.errors import reason_of
@@ -36,9 +37,6 @@ from mbtool.logs.layout import (
     empty_record,
     footer,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 # Syncs a growing file to the disk in a thread of its own, as a sync can take seconds.
 #

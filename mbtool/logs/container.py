@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import zstandard
@@ -31,8 +32,6 @@ from mcap.records import (
 from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode, footer, pack_records
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mbtool.logs.complete_file import CompleteFile
     from mbtool.logs.schemas import TopicSchema
 

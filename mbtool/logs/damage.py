@@ -9,17 +9,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import msgspec
 
-from mbtool.core import DamageError, EventKind, WireEvent
+from mbtool.core import DamageError, EventKind, InputError, WireEvent
 from mbtool.core.moments import counted, plural
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.core import InputError
 
 # ImpossibleItems counts the messages of a log that are left out because a number is out of range.
 #

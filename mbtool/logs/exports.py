@@ -18,6 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import cache, lru_cache
 from operator import attrgetter
@@ -25,13 +26,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
+from mbtool.core import WireEvent
 from mbtool.devices.transaction_fields import TIME, column_names
 from mbtool.logs.messages import EventMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction, PointValue
 
 _encode = msgspec.json.Encoder().encode

@@ -25,19 +25,15 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from mcap.records import Metadata
 
 from mbtool.core import DamageError, InputError
 from mbtool.logs.chunks import DATA_LENGTH, ZSTD_DATA_AT, Unpacker, data_length, is_zstd
 from mbtool.logs.layout import MAGIC, MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
-from mbtool.logs.records import McapRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.logs.records import RecordStream
+from mbtool.logs.records import McapRecord, RecordStream
 
 SEARCH_BYTES = 64 * 1024
 

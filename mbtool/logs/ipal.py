@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,6 @@ from mbtool.modbus import FUNCTIONS
 from mbtool.modbus.functions import READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.devices import NamedTransaction
 
 _TABLES = {

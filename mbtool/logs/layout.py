@@ -9,14 +9,10 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Footer
-
-if TYPE_CHECKING:
-    from mcap.records import McapRecord
+from mcap.records import DataEnd, Footer, McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "mbtool"

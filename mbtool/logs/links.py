@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping
+from typing import Protocol
 
 from mbtool.core import SerialLink, parse_link
 from mbtool.devices import Assignment, Assignments, parse_who, profile_from_json
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 SPEC = "spec"
 PORTS = "ports"

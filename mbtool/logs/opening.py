@@ -6,24 +6,16 @@ import platform
 import re
 import shlex
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
 
-from mbtool.core import InterfaceLink, TapLink, UsageError
-from mbtool.devices import profile_to_json
+from mbtool.core import InterfaceLink, LinkSpec, TapLink, UsageError
+from mbtool.devices import Assignments, profile_to_json
 from mbtool.logs.creating import check_path
 from mbtool.logs.layout import EVIDENCE_ONLY
 from mbtool.logs.links import ANY_PORT, PORTS, RTU_PORTS, SPEC
-from mbtool.logs.rotation import RotatingLog
+from mbtool.logs.rotation import RotatingLog, Rotation
 from mbtool.logs.writer import LogWriter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.core import LinkSpec
-    from mbtool.devices import Assignments
-    from mbtool.logs.rotation import Rotation
-
 
 _OTHER_SUFFIXES = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
 """Suffixes of other file formats, which the file of a log must not have."""

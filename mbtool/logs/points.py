@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from mbtool.logs.messages import PointMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.devices import NamedTransaction
 
 MAX_POINTS = 65536

@@ -24,12 +24,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from heapq import merge
 from itertools import chain, groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Self, cast
+from typing import Any, BinaryIO, Self, cast
 
 import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
@@ -51,15 +52,9 @@ from mbtool.logs.layout import (
     RECORD_HEAD,
     Opcode,
 )
-from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage
-from mbtool.logs.records import McapRecord, RecordStream
+from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage, LogItem
+from mbtool.logs.records import ByteStream, McapRecord, RecordStream
 from mbtool.logs.summary import begins_log, check_end, is_open_end
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from mbtool.logs.messages import LogItem
-    from mbtool.logs.records import ByteStream
 
 # Decodes the messages of a log's chunks into items (packets, transactions ...), many at once.
 #

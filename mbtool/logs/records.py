@@ -15,7 +15,8 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -23,9 +24,6 @@ from mcap.exceptions import McapError
 from mbtool.core import CutError, DamageError, InputError
 from mbtool.core.errors import reason_of
 from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _T = TypeVar("_T")
 

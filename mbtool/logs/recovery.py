@@ -15,9 +15,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
@@ -49,9 +50,7 @@ from mbtool.logs.writer import topic_name
 from mbtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
-    from typing import BinaryIO
 
 MAX_TOPICS = 60_000
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import re
 from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,15 +29,12 @@ from mbtool.core.closing import ClosesOnExit
 from mbtool.core.moments import SECOND_NS
 from mbtool.core.replacing import sync_folder
 from mbtool.logs.creating import check_path, demand_unlocked
-from mbtool.logs.messages import DecodingMark
+from mbtool.logs.messages import DecodingMark, LogItem
 from mbtool.logs.status import read_status
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
     from mbtool.devices.checking.finding import Finding
-    from mbtool.logs.messages import LogItem
 
 _KEPT = "-kept"
 """This text is put behind the number in the name of a file that `keep_around` keeps, so that the

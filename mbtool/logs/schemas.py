@@ -10,8 +10,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import inspect
@@ -28,9 +29,6 @@ from mbtool.logs.messages import (
     LogTime,
     PointMessage,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 EVIDENCE = "mbtool.Evidence"
 CHUNK = "mbtool.Chunk"

@@ -13,7 +13,7 @@ import os
 import struct
 import zlib
 from bisect import bisect_left
-from typing import TYPE_CHECKING, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from mcap.records import (
     AttachmentIndex,
@@ -27,9 +27,6 @@ from mcap.records import (
 from mbtool.core import InputError
 from mbtool.logs.layout import FOOTER_SIZE, MAGIC, MAX_RECORD, PRIVATE, RECORD_HEAD, Opcode
 from mbtool.logs.records import RecordStream
-
-if TYPE_CHECKING:
-    from typing import BinaryIO
 
 # The code below reads what follows the data section of a log: the summary, the footer and the magic
 # bytes.

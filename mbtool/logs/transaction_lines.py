@@ -5,20 +5,15 @@
 from __future__ import annotations
 
 from codecs import BOM_UTF8
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import BinaryIO
 
 import msgspec
 
-from mbtool.core import InputError
+from mbtool.core import InputError, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.logs.messages import EventMessage
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import BinaryIO
-
-    from mbtool.core import WireEvent
 
 MAX_LINE = 1 << 20
 _HEX_FIELDS = ("request_raw", "response_raw", "raw")

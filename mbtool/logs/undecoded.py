@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import os
 import struct
+from collections.abc import Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -37,9 +38,7 @@ bytes without a decoded record, and then decodes; this takes some seconds. For a
 message tells the user how to do it."""
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
-    from typing import BinaryIO
 
 UNDECODED_PIECES = "undecoded_pieces"
 """A key of the metadata at the end of a log: the number of chunks and packets not decoded."""

@@ -19,6 +19,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -63,8 +64,6 @@ from mbtool.logs.points import PointChanges, PointTopics
 from mbtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from mbtool.devices.checking.finding import Finding
 
 FLUSH_AFTER_NS = 500_000_000

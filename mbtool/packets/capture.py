@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, BinaryIO
 
 from mbtool.core import CutError, InputError, Packet
@@ -16,8 +17,6 @@ from mbtool.packets.pcap import PCAP_MAGICS, read_pcap
 from mbtool.packets.pcapng import PCAPNG_MAGIC, read_pcapng
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from mbtool.packets.line_packets import CaptureHead
 
 CAPTURE_MAGICS = (*PCAP_MAGICS, PCAPNG_MAGIC)

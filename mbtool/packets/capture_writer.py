@@ -11,8 +11,10 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import BinaryIO, NamedTuple
 
+from mbtool.core import Packet
 from mbtool.core.moments import SECOND_NS
 from mbtool.packets.pcap import MAX_CAPTURED
 from mbtool.packets.pcapng import (
@@ -22,11 +24,6 @@ from mbtool.packets.pcapng import (
     OPTION_NAME,
     OPTION_RESOLUTION,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mbtool.core import Packet
 
 OPTION_COMMENT = 1
 OPTION_DESCRIPTION = 3

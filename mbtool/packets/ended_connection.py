@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from mbtool.core import Direction
-from mbtool.packets.segment import ACK, RST, SYN
+from mbtool.core import Connection, Direction, Origin
+from mbtool.packets.segment import ACK, RST, SYN, TcpSegment
 from mbtool.packets.stream import Stream
 
 if TYPE_CHECKING:
-    from mbtool.core import Connection, Origin
-    from mbtool.packets.segment import TcpSegment
     from mbtool.packets.stream_events import CloseReason
 
 WINDOW = 1024 * 1024

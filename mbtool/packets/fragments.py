@@ -22,10 +22,11 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left, insort
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.packets.segment import (
@@ -36,9 +37,6 @@ from mbtool.packets.segment import (
     endpoint,
     walk_ipv6,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 MAX_DATAGRAMS = 256
 MAX_FRAGMENT_BYTES = 4 * 1024 * 1024

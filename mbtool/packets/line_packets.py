@@ -29,8 +29,9 @@ back.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -48,9 +49,6 @@ from mbtool.core import (
 from mbtool.core.limits import MODBUS_PORT
 from mbtool.packets.made_packets import internet_checksum
 from mbtool.packets.pcap import MAX_CAPTURED
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 # The code below extracts the bytes of a serial line from the packets of a capture file.
 #

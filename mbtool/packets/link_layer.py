@@ -16,13 +16,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from mbtool.core import LinkAddresses
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 NOT_IP = -1
 _IEEE_802_11, _RADIOTAP = 105, 127

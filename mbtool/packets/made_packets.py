@@ -11,13 +11,9 @@ from __future__ import annotations
 
 import struct
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, Packet
+from mbtool.core import Connection, Direction, Packet
 from mbtool.packets.segment import ACK, TCP, UDP
-
-if TYPE_CHECKING:
-    from mbtool.core import Connection
 
 RAW_IP = 101
 _PUSH = 0x08

@@ -22,13 +22,11 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from collections.abc import Iterator
+from typing import BinaryIO, NamedTuple
 
 from mbtool.core import CutError, DamageError, InputError, Packet
 from mbtool.core.moments import SECOND_NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 MAX_CAPTURED = 256 * 1024
 

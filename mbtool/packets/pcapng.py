@@ -22,9 +22,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from struct import Struct
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 
@@ -37,9 +38,6 @@ from mbtool.packets.line_packets import (
     LineReader,
 )
 from mbtool.packets.pcap import MAX_CAPTURED, cut_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 PCAPNG_MAGIC = bytes.fromhex("0a0d0d0a")
 MAX_BLOCK = 16 * 1024 * 1024

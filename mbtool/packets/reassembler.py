@@ -32,6 +32,7 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left
 from collections import OrderedDict
+from collections.abc import Container, Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -62,8 +63,6 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, VXLAN_PORT, fi
 from mbtool.packets.udp_flows import UdpFlows
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Mapping, Sequence
-
     from mbtool.packets.ended_connection import EndedConnection
 
 MODBUS_PORTS = frozenset((MODBUS_PORT,))

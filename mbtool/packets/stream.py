@@ -22,10 +22,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Chunk, Stamp, StreamPlace
+from mbtool.core import Chunk, Connection, Direction, Origin, Stamp, StreamPlace
 
 if TYPE_CHECKING:
-    from mbtool.core import Connection, Direction, Origin
     from mbtool.packets.plain_bytes import PlainBytes
 
 MAX_HELD_BYTES = 64 * 1024

@@ -6,14 +6,11 @@
 from __future__ import annotations
 
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
 
+from mbtool.core import Packet
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 from mbtool.packets.segment import find_tcp
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner
-
-if TYPE_CHECKING:
-    from mbtool.core import Packet
 
 TcpEnd = tuple[bytes, int]
 """An address (4 or 16 bytes) and a TCP port."""

@@ -19,13 +19,10 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from mbtool.packets.link_layer import NOT_IP, behind_ethernet
 from mbtool.packets.segment import walk_ipv6
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 GRE_IN_FRAGMENTS = -2
 """The result of find_inner, instead of an offset, for a fragment that carries GRE."""

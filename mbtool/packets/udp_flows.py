@@ -18,19 +18,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
+from collections.abc import Container
 from hashlib import blake2b
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Chunk, Connection, Direction, EventKind, Stamp, StreamPlace, WireEvent
-from mbtool.packets.segment import endpoint
-from mbtool.packets.stream_events import StreamEvent, StreamGap
+from mbtool.packets.segment import UdpDatagram, endpoint
+from mbtool.packets.stream_events import StreamEvent, StreamGap, StreamItem
 
 if TYPE_CHECKING:
-    from collections.abc import Container
-
     from mbtool.core import Origin
-    from mbtool.packets.segment import UdpDatagram
-    from mbtool.packets.stream_events import StreamItem
 
 MAX_FLOWS = 4096
 KEPT_DATAGRAMS = 8

@@ -24,10 +24,9 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from mbtool.core import Packet
+from mbtool.core import Packet
 
 USB_LINUX, USB_LINUX_MMAPPED, USBPCAP = 189, 220, 249
 USB_LINK_TYPES = frozenset((USB_LINUX, USB_LINUX_MMAPPED, USBPCAP))

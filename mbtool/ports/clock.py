@@ -14,15 +14,12 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from threading import Lock
 from time import monotonic_ns
 from time import time_ns as system_ns  # noqa: TID251 - this is a clock
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 __all__ = ["ClockWatch", "begun_run", "monotonic_ns", "now_ns", "share_clock", "steady_clock"]
 

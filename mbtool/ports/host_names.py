@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Iterable, Iterator
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING
 
 from mbtool.core.errors import reason_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 
 def why_unknown(error: Exception) -> str | None:

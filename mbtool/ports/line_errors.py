@@ -12,13 +12,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core.moments import counted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 # Unmarker removes the driver's marks from the bytes read, and returns which bytes were damaged.
 #

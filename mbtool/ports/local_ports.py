@@ -18,17 +18,14 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from serial.tools import list_ports
 
 from mbtool.core.local_ports import Holder, LocalSerialPort, PortTrouble
 from mbtool.ports.serial_port import who_may
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
 
 # The code below reads the small files of /sys and /proc. A file that cannot be read is taken as
 # empty.

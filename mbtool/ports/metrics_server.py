@@ -12,14 +12,11 @@ import threading
 import time
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from socketserver import TCPServer
-from typing import TYPE_CHECKING, Any
+from socketserver import BaseServer, TCPServer
+from typing import Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
 from mbtool.ports.tcp_listener import BACKLOG, THIS_MACHINE, AllowedPeers, ConnectionRate
-
-if TYPE_CHECKING:
-    from socketserver import BaseServer
 
 CONTENT_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
 FETCH_S = 10.0

@@ -18,17 +18,15 @@ import re
 import ssl
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from mbtool.core import LinkError, UsageError
 from mbtool.core.extras import missing_extra
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MAX_WAITING = 65_536
 PASSWORD = "MBTOOL_MQTT_PASSWORD"

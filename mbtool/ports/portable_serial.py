@@ -7,17 +7,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import serial
 
+from mbtool.core import SerialFormat
 from mbtool.core.serial_format import ModemLine, ModemLines
 from mbtool.ports.serial_port import IDLE_S, explained, lost, settings_for
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import SerialFormat
 
 
 class PyserialPort:

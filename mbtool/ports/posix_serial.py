@@ -26,23 +26,18 @@ import select
 import struct
 import sys
 import termios
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import serial
 
-from mbtool.core import LinkError
+from mbtool.core import LinkError, SerialFormat
 from mbtool.core.serial_format import ModemLine, ModemLines
 from mbtool.ports.line_errors import ErrorCounts, Unmarker
 from mbtool.ports.low_latency import LowLatency
 from mbtool.ports.real_rate import demand_rate
 from mbtool.ports.serial_port import explained, lost, settings_for
 from mbtool.ports.serial_records import MAX_DATA
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import SerialFormat
 
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""

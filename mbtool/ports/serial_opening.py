@@ -7,21 +7,18 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import serial
 
-from mbtool.core import LinkError
-from mbtool.ports.serial_port import explained, is_port_error, lost, settings_for
+from mbtool.core import LinkError, SerialFormat, SerialLink
+from mbtool.ports.serial_port import ListeningPort, explained, is_port_error, lost, settings_for
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.core import SerialFormat, SerialLink
     from mbtool.core.serial_format import ModemLines
     from mbtool.ports.posix_serial import PassingPort
-    from mbtool.ports.serial_port import ListeningPort
 
 WRITE_TIMEOUT_S = 1.0
 

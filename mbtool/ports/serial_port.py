@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,8 +16,6 @@ from mbtool.core import LinkError, SerialFormat
 from mbtool.core.local_ports import PortTrouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.ports.line_errors import ErrorCounts
 
 IDLE_S = 0.05

@@ -24,18 +24,14 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
-from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
+from mbtool.core import Endpoint, LinkError, TapLink, TcpLink, UsageError
 from mbtool.core.limits import CONNECTIONS_PER_SECOND
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from mbtool.core import TapLink
 
 # ConnectionLimits: masters connected at once, new connections per second, idle time.
 #

@@ -14,18 +14,17 @@ from __future__ import annotations
 
 import re
 import ssl
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core import LinkError
+from mbtool.core import LinkError, ListenTls, TargetTls
 from mbtool.ports.clock import now_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from datetime import datetime
 
-    from mbtool.core import ListenTls, TargetTls
 
 _CERTIFICATE = re.compile(rb"-----BEGIN (?:X509 |TRUSTED )?CERTIFICATE-----")
 _KEY = re.compile(rb"-----BEGIN (?:[A-Z0-9]+ )*PRIVATE KEY-----")

@@ -18,9 +18,8 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.skips import SkipRun
 from mbtool.modbus.adu import (
@@ -38,9 +37,6 @@ from mbtool.modbus.adu import (
     why_unreadable,
 )
 from mbtool.serial_line.bus_model import SURE, BusModel, Classification
-
-if TYPE_CHECKING:
-    from mbtool.core import SerialFormat
 
 CHARACTER_TIMEOUT_NS = 1_000_000_000
 """The longest silence inside a frame, in ns (Serial Line V1.02, 2.5.2.1)."""

@@ -16,7 +16,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import msgspec
 from msgspec.structs import replace
@@ -41,9 +42,6 @@ from mbtool.serial_line.frame_costs import CostParts, frame_cost
 from mbtool.serial_line.line_history import ONE_SIDE, LineHistory
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from mbtool.serial_line.response_timeout import ResponseTimeout
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 SURE = 0.8
 """A frame is called ambiguous if its confidence (0.5 to 1) is less than this."""

@@ -7,16 +7,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import msgspec
 from msgspec.structs import replace
 
 from mbtool.core import Direction
 from mbtool.modbus.expected_response import ExpectedResponse
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 DOUBT_BITS = 6.0
 """An explanation that costs at least this many bits more than the best one is ignored: it is true

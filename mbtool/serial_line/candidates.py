@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
@@ -32,8 +33,6 @@ from mbtool.serial_line.costs import is_counted
 from mbtool.serial_line.paths import Segment, SegmentKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from mbtool.serial_line.bus_model import BusModel
     from mbtool.serial_line.bus_state import BusState
     from mbtool.serial_line.line_statistics import LineStatistics

@@ -14,7 +14,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from mbtool.core import Direction
 from mbtool.core.limits import LAST_UNIT
@@ -33,9 +33,6 @@ from mbtool.serial_line.bus_model import (
 )
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, confidence_of
 from mbtool.serial_line.costs import is_implausible_request, is_padded
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _REQUEST_CONFIDENCE = 0.98
 """On a line whose silences do not tell who speaks, a frame that could be a request or a response is

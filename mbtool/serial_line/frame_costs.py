@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import log2
-from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.core.limits import LAST_UNIT
@@ -31,11 +30,8 @@ from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import MAX_PENDING_NS, BusState, PendingRequest
 from mbtool.serial_line.costs import is_implausible_request, is_implausible_response, is_padded
-from mbtool.serial_line.line_history import ENOUGH_PAUSES
+from mbtool.serial_line.line_history import ENOUGH_PAUSES, LineHistory
 from mbtool.serial_line.line_statistics import LatencyStatistics
-
-if TYPE_CHECKING:
-    from mbtool.serial_line.line_history import LineHistory
 
 REMEMBERED = 256
 """The size of the cache of _breaks_limits, in PDUs. In doubt, the cost of the same frame is asked

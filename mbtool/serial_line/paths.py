@@ -7,18 +7,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from itertools import groupby, takewhile
-from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec.structs import replace
 
 from mbtool.core import Direction
 from mbtool.serial_line.bus_state import DOUBT_BITS, BusState, confidence_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 
 class SegmentKind(StrEnum):

@@ -9,10 +9,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from collections.abc import Sequence
 
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:

@@ -26,11 +26,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import (
     MIN_FRAME,
@@ -74,11 +75,6 @@ from mbtool.serial_line.line_statistics import (
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.response_timeout import last_silence, longest_silence_ns
 from mbtool.serial_line.search import PathSearch
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.core import SerialFormat
 
 WINDOW = 512
 """The number of bytes at which the search decides without a silence: two frames of full size."""

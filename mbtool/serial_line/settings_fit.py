@@ -21,16 +21,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core import LineSettings, SerialFormat
 from mbtool.modbus.adu import Adu, Skipped
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 SURE_FRAMES = 3
 """Settings are sure only if at least this many frames have a correct CRC or LRC."""

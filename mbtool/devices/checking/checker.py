@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import EventKind, WireEvent
@@ -19,17 +20,14 @@ from mbtool.devices.checking.connections import ConnectionRules, is_foreign_mess
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
-from mbtool.devices.checking.quiet_run import QuietRows
+from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
 from mbtool.devices.checking.responses import DamagedFrames, ResponseRules, WagoRules, is_wago
 from mbtool.devices.checking.security import SecurityRules
 from mbtool.devices.checking.transactions import TransactionRules
 from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 
 Q = TypeVar("Q", bound=QuietRows)

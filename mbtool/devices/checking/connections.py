@@ -19,6 +19,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -29,8 +30,6 @@ from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.adu import Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 

@@ -32,6 +32,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -42,18 +43,14 @@ from mbtool.devices.checking.finding import Finding, event_finding, is_joined, t
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.identity import answer_word
-from mbtool.devices.model import BehaviourName
+from mbtool.devices.model import BehaviourName, Profile
 from mbtool.devices.profile_checks import has_other_data
-from mbtool.modbus.functions import FUNCTIONS, WRITE_SINGLE_COIL
+from mbtool.modbus.functions import FUNCTIONS, WRITE_SINGLE_COIL, Function
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.modbus.functions import Function
 
 MAX_CONNECTIONS = 2
 MAX_RECENT = 64

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core import CONNECTION_JOINED
+from mbtool.core import CONNECTION_JOINED, WireEvent
 from mbtool.devices.checking.rules import Severity, severity_of
 
 if TYPE_CHECKING:
-    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
 
 

@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -29,8 +30,6 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from mbtool.devices.model import Profile
 
 

@@ -22,24 +22,21 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.devices.checking.finding import packets_of, transaction_finding
+from mbtool.devices.checking.finding import Finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import Packets, host_of, is_identification
-from mbtool.devices.checking.security_limits import SecurityLimit
+from mbtool.devices.checking.security_limits import SecurityLimit, SecurityLimits
 from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
-    from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_MASTERS = 16

@@ -18,6 +18,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from operator import sub
 from statistics import median, quantiles
@@ -29,8 +30,6 @@ from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from mbtool.devices.checking.quiet_run import PollName, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 

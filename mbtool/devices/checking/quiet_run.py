@@ -15,15 +15,14 @@ rules of `mbtool check`, the account and the troubles. The responses may be exce
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
+from mbtool.core import WireEvent
 from mbtool.modbus.functions import FUNCTIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
-
-    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
 
 PollName = tuple[object, ...]

@@ -23,27 +23,21 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.finding import Finding, event_finding, is_joined, transaction_finding
-from mbtool.devices.checking.quiet_run import asked_number
+from mbtool.devices.checking.quiet_run import QuietRun, asked_number
 from mbtool.devices.checking.sliding_window import LruDict
 from mbtool.devices.checking.transactions import request_text
-from mbtool.devices.model import BehaviourName
+from mbtool.devices.model import BehaviourName, Profile
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
 from mbtool.modbus.functions import DIAGNOSTICS, FORCE_LISTEN_ONLY, ExceptionCode
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.response import MAX_FRAMES, DamagedAnswers
 from mbtool.modbus.transaction import Outcome
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from mbtool.devices.checking.quiet_run import QuietRun
-    from mbtool.devices.model import Profile
 
 MAX_PENDING = 4096
 MAX_RETRIES = 16

@@ -23,34 +23,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from mbtool.core import CONNECTION_JOINED
+from mbtool.core import CONNECTION_JOINED, WireEvent
 from mbtool.devices.checking.finding import Finding, event_finding, packets_of, transaction_finding
-from mbtool.devices.checking.quiet_run import asked_number
+from mbtool.devices.checking.quiet_run import QuietRun, asked_number
 from mbtool.devices.checking.security_cases import (
+    SecurityCases,
     host_of,
     is_identification,
     master_text,
     place_text,
 )
 from mbtool.devices.checking.transactions import request_text
-from mbtool.devices.checking.unpolled import OPENED, Unpolled
+from mbtool.devices.checking.unpolled import OPENED, Attempts, Unpolled
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from mbtool.core import WireEvent
-    from mbtool.devices.checking.quiet_run import QuietRun
-    from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
-    from mbtool.devices.checking.unpolled import Attempts
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
 

@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import CONNECTION_JOINED, EventKind, WireEvent
-from mbtool.devices.checking.finding import packets_of, transaction_finding
+from mbtool.devices.checking.finding import Finding, packets_of, transaction_finding
 from mbtool.devices.checking.masters import MasterRules, Write
 from mbtool.devices.checking.scans import ScanRules
 from mbtool.devices.checking.security_cases import SecurityCases, host_of, master_text, place_text
@@ -21,9 +22,6 @@ from mbtool.modbus.functions import DIAGNOSTICS, FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_limits import SecurityLimit, SecurityLimits
     from mbtool.devices.model import Profile

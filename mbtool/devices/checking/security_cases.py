@@ -9,6 +9,7 @@ A source is a host, or a serial line.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_EXAMPLES = 3

@@ -6,15 +6,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from mbtool.core import UsageError
 from mbtool.core.moments import DAY_NS, SECOND_NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 MAX_NUMBER = 4096
 """The largest number of cases in a limit: a rule keeps the time of each case in memory."""

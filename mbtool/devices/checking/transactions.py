@@ -6,11 +6,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding, transaction_finding
 from mbtool.devices.checking.rules import DeviceCode
 from mbtool.devices.profile_checks import (
+    Ranges,
     finding_text,
     request_data,
     value_ranges,
@@ -32,11 +34,8 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import ADDRESSES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.devices.profile_checks import Ranges
 
 _REQUEST_FORM = frozenset(("MB-101", "MB-102", "MB-103"))
 _RESPONSE_FORM = frozenset(("MB-201", "MB-202", "MB-203"))

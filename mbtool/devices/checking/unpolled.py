@@ -28,13 +28,12 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from mbtool.devices.checking.security_cases import Packets
+from mbtool.devices.checking.security_cases import Packets, SecurityCases
 from mbtool.devices.checking.sliding_window import LruDict, SlidingWindow
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
-    from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit
 
 R = TypeVar("R")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
@@ -13,8 +14,6 @@ from mbtool.slave.shells.tcp_shell import TcpSlave
 from mbtool.slave.shells.udp_shell import UdpSlave
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.modbus.response import Responder
     from mbtool.slave.device.connection_policy import ConnectionPolicy
     from mbtool.slave.shells.shell import OnExchange, Shell

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 from contextlib import closing
-from typing import TYPE_CHECKING
 
-from mbtool.core import Direction, SerialLink, UsageError
+from mbtool.core import Direction, SerialFormat, SerialLink, UsageError
 from mbtool.modbus.adu import Adu, Verdict
-from mbtool.modbus.response import wire_pieces
+from mbtool.modbus.response import Responder, wire_pieces
 from mbtool.ports.arrival_times import SerialArrivals
 from mbtool.ports.clock import steady_clock
 from mbtool.ports.serial_opening import WriteTimeout, open_port, port_in_use
@@ -36,12 +36,6 @@ from mbtool.serial_line.bus_model import BusModel, Classification, roles_of
 from mbtool.serial_line.bus_state import BusState
 from mbtool.serial_line.rtu import RtuSplitter
 from mbtool.slave.shells.shell import OnExchange, Shell
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from mbtool.core import SerialFormat
-    from mbtool.modbus.response import Responder
 
 # The code below decides, for a slave that demands the standard's silences, which RTU requests get a
 # response.

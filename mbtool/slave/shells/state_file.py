@@ -11,23 +11,22 @@ import errno
 import json
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replace_content
-from mbtool.devices import write_reference
+from mbtool.devices import Profile, write_reference
 from mbtool.slave.device.image_file import load_image
 
 if sys.platform != "win32":
     import fcntl
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-    from mbtool.devices import Profile
     from mbtool.slave.device.responder import DeviceResponder
 
 

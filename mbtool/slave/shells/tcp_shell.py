@@ -28,26 +28,21 @@ import math
 import socket
 import struct
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from mbtool.core import Direction, Endpoint, TcpLink
 from mbtool.core.limits import SLAVE_CONNECTIONS, SLAVE_IDLE_S
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import MAX_TCP_ADU, MBAP_BYTES, Adu, Transport, mbap_adu
-from mbtool.modbus.response import ConnectionEnding, wire_pieces
+from mbtool.modbus.response import ConnectionEnding, Responder, Response, wire_pieces
 from mbtool.ports.clock import steady_clock
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener, reset
-from mbtool.slave.device.connection_policy import ConnectionPolicy, Loss
+from mbtool.slave.device.connection_policy import ConnectionPolicy, KeepAlive, Loss, Peer
 from mbtool.slave.shells.shell import OnExchange, Shell
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mbtool.modbus.response import Responder, Response
-    from mbtool.slave.device.connection_policy import KeepAlive, Peer
 
 # MasterConnection is one master's connection to a TCP slave.
 #

@@ -14,19 +14,16 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbtool.core import Direction, Endpoint, TcpLink
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.response import wire_pieces
+from mbtool.modbus.response import Responder, wire_pieces
 from mbtool.ports.clock import steady_clock
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener
 from mbtool.slave.shells.shell import OnExchange, Shell
-
-if TYPE_CHECKING:
-    from mbtool.modbus.response import Responder
 
 MAX_WAITING = 4096
 MAX_REFUSED_HOSTS = 64
