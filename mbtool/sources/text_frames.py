@@ -153,11 +153,7 @@ class _OpenBytes:
                 return [*whole]
         self._begins = [*self._begins[:1], *self._begins[1:][1 - MAX_BEGINS :], size]
         self._search()
-        found: list[tuple[Transport, bytes]] = []
-        while (place := self._complete()) is not None:
-            begin, end = place
-            found.append((Transport.RTU, self.data[begin:end]))
-            self._drop(end)
+        found = self._complete()
         if not found and b":" in self.data:
             found = self._ascii()
         if len(self.data) > MAX_PART:
@@ -176,14 +172,23 @@ class _OpenBytes:
             self._open += [(at, at + size) for size in {*sizes} if size]
         self._searched = max(self._searched, len(self.data) - 1)
 
-    def _complete(self) -> tuple[int, int] | None:
-        """Return the first place with a whole RTU frame; forget the places without one."""
-        size = len(self.data)
-        for place in [one for one in self._open if one[1] <= size]:
-            if crc(self.data[place[0] : place[1]]) == 0:
-                return place
-        self._open = [one for one in self._open if one[1] > size]
-        return None
+    def _complete(self) -> list[tuple[Transport, bytes]]:
+        """Return the whole RTU frames, and forget all up to the last one, and the complete places
+        that hold none.
+        """
+        found: list[tuple[Transport, bytes]] = []
+        still_open, done, size = [], 0, len(self.data)
+        for begin, end in self._open:
+            if begin < done:
+                continue
+            if end > size:
+                still_open.append((begin, end))
+            elif crc(self.data[begin:end]) == 0:
+                found.append((Transport.RTU, self.data[begin:end]))
+                done = end
+        self._open = still_open
+        self._drop(done)
+        return found
 
     def _ascii(self) -> list[tuple[Transport, bytes]]:
         found = []

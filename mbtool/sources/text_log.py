@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import chain
@@ -242,9 +243,12 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
         places += _find_notation(_GROUPS, shape, skip_to)
     places.sort(key=lambda one: one.start - one.end)
     chosen: list[FoundBytes] = []
+    starts: list[int] = []
     for one in places:
-        if all(one.end <= other.start or other.end <= one.start for other in chosen):
-            chosen.append(one)
+        at = bisect_left(starts, one.end)
+        if at == 0 or chosen[at - 1].end <= one.start:
+            chosen.insert(at, one)
+            starts.insert(at, one.start)
     if not chosen:
         single = _SINGLE.search(shape, skip_to)
         if single is not None:
