@@ -290,6 +290,7 @@ def validate(profile: Profile, file: str) -> None:
 
 def _validate_areas(profile: Profile, file: str) -> None:
     before: list[Area] = []
+    """The areas so far that end behind the beginning of the last one."""
     names: set[str] = set()
     for area in sorted(profile.areas, key=lambda area: area.first):
         errors = PartErrors(file, f'areas "{area.name}"')
@@ -308,6 +309,7 @@ def _validate_areas(profile: Profile, file: str) -> None:
                 f"{area.base} gives its first address, {area.first}, the number "
                 f"{area.base + area.first}; {-area.first} or more would be right",
             )
+        before = [other for other in before if other.last >= area.first]
         for other in before:
             if _collide(area, other):
                 errors.wrong(
