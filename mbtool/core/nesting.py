@@ -47,6 +47,6 @@ def why_refused(text: str) -> str | None:
             return f"nested too deep: more than {MAX_DEPTH} levels of brackets"
     if any(part.count(".") >= MAX_DEPTH for part in _BETWEEN_KEYS.split(bare)):
         return f"nested too deep: a key of more than {MAX_DEPTH} parts with dots between"
-    if _LONG_NUMBER.search(bare):
-        return f"a number of more than {MAX_NUMBER} digits"
+    if number := _LONG_NUMBER.search(bare):
+        return f"{number[0][:16]}... is a number of more than {MAX_NUMBER} digits"
     return None
