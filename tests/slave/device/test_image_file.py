@@ -116,7 +116,7 @@ def test_refuses_a_file_of_another_kind(tmp_path: Path, data: bytes, says: str) 
 @pytest.mark.parametrize("value", ["{}", "{{ ramp = [0, {}], seconds = 1 }}"])
 def test_numbers_that_no_computer_reckons_with_are_refused(tmp_path: Path, value: str) -> None:
     text = '"CH1 digital operation value" = ' + value.format("1" + "0" * 400)
-    with pytest.raises(UsageError, match="10000.* is a number of more than 100 digits"):
+    with pytest.raises(UsageError, match=r"10000.* is a number of more than 100 digits"):
         _load(tmp_path, text, "fa3-at1m8x")
 
 
