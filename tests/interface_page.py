@@ -99,7 +99,7 @@ def _code(name: str, function: object) -> str:
     signature = signature.replace(parameters=parameters)
     text = f"{name}{signature}".replace("'", "")
     text = re.sub(r"= <?(tcp:[^,)]*)", r'= "\1"', text)
-    text = re.sub(r"= (rtu@[\w-]+|auto|image|last|recorded)\b", r'= "\1"', text)
+    text = re.sub(r"= (rtu(?:@[\w-]+)?|auto|image|last|recorded)\b", r'= "\1"', text)
     text = text.removesuffix(" -> None") if name.startswith("mbtool.") else text
     if len(text) > _WIDTH:
         begin, _, rest = text.partition("(")

@@ -398,7 +398,8 @@ def _load(name: str, module: str) -> Any:
     return get_group(app).commands[name]
 
 
-# Prints or installs the script with which a shell completes: --install-completion [SHELL].
+# The code below prints or installs the script with which a shell completes: --install-completion
+# [SHELL].
 #
 # The scripts are those of the library typer. Its own options take no SHELL where it can detect the
 # shell, and ignore the word behind them.

@@ -27,7 +27,7 @@ from mbtool.modbus.transaction import Outcome
 if TYPE_CHECKING:
     from mbtool.columns.plain_rows import PlainRows
 
-# Makes a pyarrow table of the transactions that were read from arrays.
+# The code below makes a pyarrow table of the transactions that were read from arrays.
 #
 # The table has a row per transaction. The columns of usual reads and writes (usual_rows.py) are
 # computed from the arrays. For every other transaction, an object equal to the Decoder's is made

@@ -157,7 +157,8 @@ def _endpoint(address: bytes, port: int) -> Endpoint:
     return Endpoint(_host(address), port)
 
 
-# Finds connections that lie in one block from SYN to FIN, such as those of a single poll each.
+# The code below finds connections that lie in one block from SYN to FIN, such as those of a
+# single poll each.
 #
 # Such a connection has, in order and without a gap: SYN, SYN with ACK, an ACK, transactions that
 # form one plain stretch (stretches.py), a FIN of each end, and acknowledgements. Its first request

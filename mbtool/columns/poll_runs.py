@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_FORMS = 65_536
+"""The most forms (example transactions) that are kept between blocks."""
 _Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
@@ -144,6 +145,10 @@ class BlockRun(QuietRun):
 
     def __len__(self) -> int:
         return self._some.stop - self._begin
+
+    @property
+    def file(self) -> str | None:
+        return self._polls.rows.block.file
 
     @cached_property
     def rows(self) -> RunRows:

@@ -273,12 +273,13 @@ def _pair(payloads: _Payloads, data: Octets) -> tuple[PlainTransactions, Int64s]
     return found, np.flatnonzero(~goes_on)
 
 
-# Finds TCP segments that repeat an earlier segment at once, so that decoding can skip them.
+# The code below finds TCP segments that repeat an earlier segment at once, so that decoding can
+# skip them.
 #
 # Such a copy, as a mirror port makes, has the sequence number, acknowledgement number and bytes of
 # an earlier segment, less than RETRANSMISSION_NS before it. Between the two, no other segment of
 # the connection has bytes, except one response if the repeated segment is a request. So both
-# segments are in the same plain stretch (stretches.py), and the second one adds nothing.
+# segments are in the same plain stretch, and the second one adds nothing.
 #
 # A copy that comes later than that was sent again by its sender, which the Decoder reports.
 #

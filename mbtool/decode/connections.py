@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace
 
-# Tells if one direction of an RTU connection carries both requests and responses of a whole line.
+# The code below tells if one direction of an RTU connection carries both requests and responses
+# of a whole line.
 #
 # Some serial servers and port redirectors send all that they hear on a line to whoever connects.
 #
@@ -84,7 +85,7 @@ def _answers(request: bytes, response: bytes) -> bool:
     return expected is not None and request[0] == response[0] and expected.fits(response[1:-2])
 
 
-# Finds where the frames of a serial line stand in the file that holds its bytes.
+# The code below finds where the frames of a serial line stand in the file that holds its bytes.
 #
 # The raw bytes of a splitter's events, in order, are the bytes that the splitter was fed. So counts
 # of the bytes fed and of the bytes in events give the place of every frame. In a file of bytes this

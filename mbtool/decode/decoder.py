@@ -70,7 +70,8 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
     from mbtool.packets.plain_bytes import RestPlace
 
-# Decodes a serial line from a program's log that has whole frames and names their senders.
+# The code below decodes a serial line from a program's log that has whole frames and names their
+# senders.
 #
 # Each chunk is one frame with a known direction, so no search is needed: it becomes an ADU and goes
 # to the pairing. The time of a frame, for its first and last byte alike, is the time at which the

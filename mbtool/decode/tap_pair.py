@@ -47,7 +47,7 @@ from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
 
-# Aligns the requests that one tap heard with the responses that another tap heard.
+# The code below aligns the requests that one tap heard with the responses that another tap heard.
 #
 # Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
 # its request has ended. These rules hold on every line, within the difference of the delays:

@@ -38,7 +38,7 @@ from mbtool.devices.validation import validate
 
 # The code below reads a user's TOML file: a profile, start values, or a list of faults.
 #
-# This module is not in core/, because core/ does no I/O. The caller states the largest file size.
+# It is not in core/, because core/ does no I/O. The caller states the largest file size.
 
 _ADVICE = (
     ("Invalid value", "; a value is a number, a text in quotes, true, false, a list or a table"),

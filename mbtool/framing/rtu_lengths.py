@@ -83,6 +83,10 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
     return length + RTU_EXTRA_BYTES if length else length
 
 
+MAX_SUMMED = 2 * MAX_RTU_ADU
+"""The most bytes that CrcSums takes: two frames of full size."""
+
+
 def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
     """True if `data`, at most MAX_SUMMED bytes, contains a frame with a correct CRC, at any offset.
 
@@ -160,9 +164,6 @@ class CrcSums:
                 break
             found.append(end - first)
         return found
-
-
-MAX_SUMMED = 2 * MAX_RTU_ADU
 
 
 @cache

@@ -459,7 +459,7 @@ class Account:
         link.bad_checks += place is LinkSum.BAD_CHECK
 
     def _add_connections(self, counts: ConnectionCounts) -> None:
-        """Count the openings and closings of connections in a batch."""
+        """Count the openings and closings of connections in a run."""
         for kind, number in ((EventKind.OPENED, counts.opened), (EventKind.CLOSED, counts.closed)):
             if number:
                 self.events[kind] += number

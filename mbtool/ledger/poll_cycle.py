@@ -34,9 +34,8 @@ from itertools import pairwise
 from statistics import median, median_low
 from typing import Generic, NamedTuple, TypeVar
 
-# Cuts the requests of a master into poll cycles, by finding the sequence that repeats.
-#
-# poll_cycle.py uses this module and explains the method.
+# The code below cuts the requests of a master into poll cycles, by finding the sequence that
+# repeats.
 #
 # Memory: a few copies of the list of requests that the caller passes.
 

@@ -38,7 +38,8 @@ from mbtool.logs.layout import (
     footer,
 )
 
-# Syncs a growing file to the disk in a thread of its own, as a sync can take seconds.
+# The code below syncs a growing file to the disk in a thread of its own, as a sync can take
+# seconds.
 #
 # One sync runs at a time. Requests that come during a sync are served together by one more sync
 # after it. The thread starts with the first request. A log that is converted from a file requests

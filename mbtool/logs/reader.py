@@ -56,7 +56,8 @@ from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage, LogIt
 from mbtool.logs.records import ByteStream, McapRecord, RecordStream
 from mbtool.logs.summary import begins_log, check_end, is_open_end
 
-# Decodes the messages of a log's chunks into items (packets, transactions ...), many at once.
+# The code below decodes the messages of a log's chunks into items (packets, transactions ...),
+# many at once.
 #
 # One walk over the records of a chunk collects the bytes of the wanted messages by their schema,
 # and the order of the schemas. The messages of a JSON schema are then decoded by one call, as one

@@ -5,7 +5,8 @@
 # after it has reached its limit, so it may exceed the limit by one flush, and it has at least one
 # item. A number whose file exists already is skipped. A transaction may be in the file after the
 # one with its captured bytes. The first file stays locked until the run ends or the file is
-# removed; no other recorder begins a series while a file of it is locked.
+# removed; no other recorder begins a series while a file of it is locked. Once the first file is
+# removed, there are some ms between two files in which none is.
 #
 # If the number of files is limited, the oldest one is removed before the next is begun, and also
 # when the disk is full. Only finished files of this run are removed; if the run continues an

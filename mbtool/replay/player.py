@@ -53,7 +53,8 @@ from mbtool.replay.steering import Control, Progress, Steering
 if TYPE_CHECKING:
     from mbtool.modbus import Pdu, RegisterAccess
 
-# Keeps the values that the live master has written to a slave that is played from a recording.
+# The code below keeps the values that the live master has written to a slave that is played from
+# a recording.
 #
 # The live master is the one that talks to the player; the recorded master is the one in the
 # recording. After the live master has written to a register or bit, all responses show the written

@@ -34,6 +34,7 @@ from msgspec.structs import replace
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import (
+    MAX_SUMMED,
     MIN_FRAME,
     doubled_size,
     frame_size,
@@ -76,7 +77,7 @@ from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.response_timeout import last_silence, longest_silence_ns
 from mbtool.serial_line.search import PathSearch
 
-WINDOW = 512
+WINDOW = MAX_SUMMED
 """The number of bytes at which the search decides without a silence: two frames of full size."""
 HOLD_NS = 1_000_000_000
 """An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms,

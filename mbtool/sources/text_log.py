@@ -62,11 +62,11 @@ if TYPE_CHECKING:
     import io
 
 
-# Finds bytes in a line of text, in every notation that programs use.
+# The code below finds bytes in a line of text, in every notation that programs use.
 #
 # The shape of a line is the line with 0 in place of every hexadecimal digit. So a pattern needs no
 # classes of digits, and lines that differ only in digits have one shape, whose places are found
-# only once (text_log.py). NOTATIONS is the whole list; a new notation is one row.
+# only once. NOTATIONS is the whole list; a new notation is one row.
 #
 # If two notations find bytes at overlapping places, the one with more bytes wins. Text in quotes
 # with escapes (\x01, \1, \n) and lists of decimal numbers are read from the line itself.

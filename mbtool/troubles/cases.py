@@ -81,7 +81,7 @@ class Cases(Sense):
                 cases.append(Evidence.of(one))
 
     def _note_failed(self, run: QuietRun) -> None:
-        """Note the first failed requests of each unit in a batch, in the order of the responses."""
+        """Note the first failed requests of each unit in a run, in the order of the responses."""
         failed = [form for form in run.forms if form.like.outcome in _FAILED]
         for place in sorted(each for form in failed for each in form.places[:MAX_EVIDENCE]):
             cases = self._cases_of(run.forms[run.form[place]].like)
@@ -183,8 +183,8 @@ class Cases(Sense):
 
 def _evidence(run: QuietRun, place: int, text: str = "") -> Evidence:
     """Return a transaction of a run as evidence."""
-    file, at_ns = run.forms[run.form[place]].like.file, run.rows.request_ns[place]
-    return Evidence(ts_ns=at_ns, text=text, file=file, packets=run.packets(place))
+    at_ns = run.rows.request_ns[place]
+    return Evidence(ts_ns=at_ns, text=text, file=run.file, packets=run.packets(place))
 
 
 def _earliest_cases(cases: Iterable[Evidence]) -> tuple[Evidence, ...]:

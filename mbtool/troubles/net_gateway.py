@@ -219,7 +219,7 @@ class Gateways(Sense):
                 end_ns = at_ns + latency_ns
                 shared.waiting.append(_SlowRequest(at_ns, end_ns, master, like.unit, address))
             if latency_ns >= SLOW_NS:
-                evidence = Evidence(ts_ns=at_ns, file=like.file, packets=run.packets(place))
+                evidence = Evidence(ts_ns=at_ns, file=run.file, packets=run.packets(place))
                 self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
 
     def _shared_by(self, one: NamedTransaction) -> _SharedLink | None:

@@ -89,7 +89,7 @@ class Hosts(Sense):
         for form in run.forms:
             place = form.places[0]
             at_ns, packets = run.rows.request_ns[place], run.packets(place)
-            first = Evidence(ts_ns=at_ns, file=form.like.file, packets=packets)
+            first = Evidence(ts_ns=at_ns, file=run.file, packets=packets)
             self._note(form.like, len(form.places), form.begin_ns, form.end_ns, first)
 
     def _note(

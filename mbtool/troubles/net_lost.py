@@ -110,10 +110,10 @@ class LossyPaths(Sense):
             path.confirm(one.start_ns, one.response_ns)
 
     def run(self, run: QuietRun) -> None:
-        for kind in run.forms if self._paths else ():
-            path = self._paths.get((kind.like.link, host_of(kind.like.source)))
+        for form in run.forms if self._paths else ():
+            path = self._paths.get((form.like.link, host_of(form.like.source)))
             if path is not None and path.pending:
-                path.confirm(kind.end_ns, kind.end_ns)
+                path.confirm(form.end_ns, form.end_ns)
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         whole = {link.name: link.tally for link in links if link.is_whole}

@@ -1,8 +1,8 @@
 """Finds the troubles of units: silent, missing, damaged, malformed, refused and slow answers."""
 
 # failed_shares.py computes which share of the requests failed in which time, and if this share is
-# small; slow_units.py and `slower_units` decide which latency is slow. A unit that never answers
-# has no other trouble. If a unit refuses a request each time, the trouble has no beginning.
+# small; slow_units.py and `slow_and_slower_units` decide which latency is slow. A unit that never
+# answers has no other trouble. If a unit refuses a request each time, the trouble has no beginning.
 
 from __future__ import annotations
 

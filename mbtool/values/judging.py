@@ -51,7 +51,8 @@ from mbtool.values.segmentation import (
 )
 from mbtool.values.word_readings import Order, WordReading, numbers_in
 
-# Finds values whose type stays in doubt, however well the words of the registers fit it.
+# The code below finds values whose type stays in doubt, however well the words of the registers
+# fit it.
 #
 # The likelihoods of a division compare types that give different numbers. Some types cannot be
 # distinguished: a register that never changes may be anything, and one that changes next to a

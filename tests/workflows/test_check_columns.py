@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
 from unittest.mock import patch
@@ -29,13 +30,12 @@ from tests.benchmarks.file_workloads import (
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
 from tests.columns.sunspec_capture import sunspec_capture
-from tests.columns.test_equality import poll
+from tests.columns.test_equality import READ, poll
 from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     import random
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from mbtool.core import Packet
 
@@ -171,3 +171,18 @@ def test_the_findings_of_a_cut_capture_are_the_same_both_ways(tmp_path: Path) ->
     path.write_bytes(generated(0)[:-20])
     assert demand_equal(path)
     assert found(path, 0)[3] is not None
+
+
+def test_a_case_of_a_trouble_names_the_file_that_has_it(tmp_path: Path) -> None:
+    names = [str(tmp_path / name) for name in ("a.pcap", "b.pcap")]
+    day_ns = 86_400_000_000_000
+    for day, (name, refused) in enumerate(zip(names, (1, 400), strict=True)):
+        talk = Talk(ts_ns=day * day_ns)
+        packets = [*talk.handshake(), *poll(talk, 60), *poll(talk, refused, READ, b"\x83\x02")]
+        Path(name).write_bytes(pcap([*packets, *poll(talk, 60)]))
+    with patch.object(reading_choice, "WORTH_BYTES", 0):
+        run = CheckRun(names, ReadingOptions())
+        assert list(run.findings()) == []
+    told = [one for trouble in run.judgement().troubles for one in trouble.evidence]
+    assert {names.index(one.file or "") for one in told} == {0, 1}
+    assert all(names.index(one.file or "") == one.ts_ns // day_ns for one in told)

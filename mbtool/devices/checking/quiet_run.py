@@ -140,13 +140,15 @@ class QuietRun(Protocol):
         """The number of transactions."""
 
     connections: list[QuietConnection]
-    """The transactions grouped by connection, in the order of their last requests or
-        openings.
-        """
+    """The transactions grouped by connection, in the order of their last requests or openings."""
     opened_and_closed: list[ConnectionCounts]
     """The openings and closings of connections among the transactions."""
     last_event_ns: int
     """The latest time of the opening or closing of a connection; 0 if there is none."""
+
+    @property
+    def file(self) -> str | None:
+        """The name of the capture file that has the transactions."""
 
     @property
     def rows(self) -> RunRows:

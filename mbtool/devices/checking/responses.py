@@ -4,6 +4,8 @@
 # MB-402  a request has a response only after a retry; its earlier copies are then no MB-401
 # MB-403  a response has no request in the capture
 #
+# At the end, the rules about damaged frames (RTU-201) and the watchdog of WAGO couplers.
+#
 # A request without a response is therefore pending until a retry gets a response, or until
 # PATIENCE_NS have passed. An equal request that comes at the usual period of its poll is no retry,
 # but the next poll. There is no finding if the capture may simply lack the other half:
@@ -357,7 +359,7 @@ def _request_bytes(transaction: NamedTransaction) -> bytes:
     return whole_pdu(transaction.transport, raw) or raw or b""
 
 
-# Finds frames with a wrong CRC or LRC, and which unit sent them (RTU-201).
+# The code below finds frames with a wrong CRC or LRC, and which unit sent them (RTU-201).
 #
 # The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
 # request that was pending when it came. This request is known when its transaction ends without a

@@ -11,8 +11,8 @@
 # findings come at the end of the capture.
 #
 # A capture can be too short to show that a master polls. So an address or unit that answers as
-# asked counts for SEC-201 and SEC-202 only if its first request came at least first_time_ns (the
-# first minutes of SEC-205) before the end of the capture. If the capture has the opening of the
+# asked counts for SEC-201 and SEC-202 only if its first request came at least the time of SEC-205
+# before the end of the capture. If the capture has the opening of the
 # first connection to an address, the address also counts in three other cases: the master was first
 # heard when another host had already been polling; the master did not ask the address again for the
 # time of SEC-201's limit; or the master only read the identification, and did not ask again for

@@ -146,7 +146,7 @@ def _text(profile: Profile, remarks: Sequence[str]) -> str:
     )
 
 
-# Reads the rows below the headings of a register list.
+# The code below reads the rows below the headings of a register list.
 #
 # A row with an address describes a value. A row without an address is one of these:
 #

@@ -3,7 +3,8 @@
 # The file is TOML with the device's references as keys, like a file of start values
 # (image_file.py). It is written when a non-volatile register has changed, before the master gets
 # the response, and is on the disk then (core/replacing.py). The process locks the file, and each
-# new one that replaces it; another process is refused.
+# new one that replaces it; another process is refused. While a file is replaced, its folder is
+# locked, so that no process can lock the new file before.
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, OutputError, UsageError
@@ -50,7 +51,8 @@ def keep_state(
     if path.exists():
         if not path.is_file():
             raise UsageError(f"{path}: is no file; --state wants one that can be written anew")
-        _lock(path)
+        with _locked_folder(path.parent):
+            _lock(path)
         load_image(path, profile, device.image, kept)
 
     def save() -> None:
@@ -61,15 +63,18 @@ def keep_state(
                 f"{_key(write_reference(profile, table, address))} = {value}\n"
                 for address, value in zip(span, values, strict=True)
             ]
-        replace_content(path, "".join(lines).encode())
-        _lock(path)
+        with _locked_folder(path.parent):
+            if path.exists():
+                _lock(path)
+            replace_content(path, "".join(lines).encode())
+            _lock(path)
 
     def keep() -> None:
         try:
             save()
         except OSError as error:
             on_trouble(f"{path}: not written: {error.strerror or error}; its state is not kept")
-        except UsageError as error:  # Another slave took the file in the moment of its renewal.
+        except UsageError as error:  # Somebody replaced the file, and another slave keeps it now.
             on_trouble(str(error))
 
     try:
@@ -85,6 +90,24 @@ _locked: dict[Path, int] = {}
 """By path, the descriptor that holds the lock of each state file of this process."""
 
 
+@contextmanager
+def _locked_folder(folder: Path) -> Iterator[None]:
+    """Wait until no other process replaces a state file in a folder, and let none do so meanwhile.
+
+    There is no lock on Windows, and where the file system has none.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(opened, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(opened)
+
+
 def _lock(path: Path) -> None:
     """Lock the state file until the process ends or locks it anew; there is no lock on Windows.
 
@@ -98,8 +121,10 @@ def _lock(path: Path) -> None:
         opened = os.open(path, os.O_RDWR)
         try:
             fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        except OSError as error:
             os.close(opened)
+            if not isinstance(error, BlockingIOError):  # The file system has no locks.
+                return
             raise UsageError(
                 f"{path}: another slave keeps its state there; name another file, or end that one "
                 "first"

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRun
 
-# Keeps the transactions before and after the longest pauses of each poll, for the report's table.
+# The code below keeps the transactions before and after the longest pauses of each poll, for the
+# report's table.
 #
 # A poll is all equal requests of one master. Only at the end of the capture it is known which of
 # its pauses are reported (troubles/polling.py).

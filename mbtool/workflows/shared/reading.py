@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.unreadable_lines import LineOf
 
-# Decides for which serial lines the recorded times of bytes are exact.
+# The code below decides for which serial lines the recorded times of bytes are exact.
 #
 # A file with a time for each byte comes from a logic analyser, whose times are exact, or from a
 # program that noted when it read each byte. On a wire a byte ends at least one character time after
