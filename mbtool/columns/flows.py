@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_FLOWS = 65_536
 """If there are more flows than this, all are forgotten before the next block."""
 UNKNOWN = -1
-"""The flow number of a segment that cannot be told, because another flow has the same hash."""
+"""Stands in place of a flow number if another flow has the same hash."""
 PORT_AT = 48
 """The position, in bits, of the port in the number of an end."""
 _IPV6_BIT = 1 << 47

@@ -184,7 +184,8 @@ def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
         return None
     if transaction.write_quantity is not None:
         return transaction.write_address, transaction.write_quantity
-    quantity = len(transaction.request_values or ())  # Older logs lack it.
+    # Older logs have no write_quantity.
+    quantity = len(transaction.request_values or ())
     pdu = whole_pdu(transaction.transport, transaction.request_raw)
     if pdu is not None and len(pdu) >= _WRITE_QUANTITY.stop:
         quantity = int.from_bytes(pdu[_WRITE_QUANTITY])

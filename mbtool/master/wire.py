@@ -77,8 +77,8 @@ class Heard(NamedTuple):
     rest: bytes = b""
     """The bytes behind the last ADU, on TCP and in ASCII."""
     made_pause_ns: int = 0
-    """The longest time (ns) for which the pause between the pieces sent on a serial line can have
-    lasted."""
+    """An upper bound (ns) of the pause between the pieces sent on a serial line; on a busy machine
+    it is longer than asked for."""
 
 
 class Wire(ClosesOnExit):

@@ -444,7 +444,8 @@ class TcpConnection:
         """True if the bytes of `other` that the segment acknowledges are delivered or given up."""
         if piece.acknowledged <= other.position:
             return True
-        # If `other` holds back bytes behind a hole, the gap of that hole is delivered first.
+        # If `other` holds bytes that follow missing ones, its gap must be delivered before this
+        # piece.
         has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
         return not has_gap_to_come and self._is_overdue(other, piece.acknowledged)
 

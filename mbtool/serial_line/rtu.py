@@ -461,7 +461,8 @@ class RtuSplitter:
         hears_only_slaves = history.hears_only_slaves
         for segment in segments:
             if history.hears_only_slaves is not hears_only_slaves:
-                # The search did not know this yet, so its later segments may be wrong.
+                # An earlier segment changed this; the search ran with the old value, so that its
+                # later segments may be wrong.
                 return True
             size, decidable = segment.size, decided - segment.offset
             if segment.kind is SegmentKind.SKIPPED:

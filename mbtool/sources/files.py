@@ -261,7 +261,7 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
         if unpacked is not None:
             head, stream = _peek(io.BufferedReader(unpacked, _BUFFER))
             if head.startswith(_MCAP):
-                unpacked.is_log()
+                unpacked.limit_as_log()
         if line is None or not line.ascii:
             head, stream = _without_zeros(head, stream)
         if not head and line is None:
@@ -389,7 +389,7 @@ class _Unpacked(io.RawIOBase):
         self._left = FREE_BYTES
         """The number of bytes that may still be unpacked; it grows with the packed bytes read."""
 
-    def is_log(self) -> None:
+    def limit_as_log(self) -> None:
         """Lower the limit on unpacked bytes, as the content is a log (see FREE_BYTES_OF_LOG)."""
         self._left -= FREE_BYTES - FREE_BYTES_OF_LOG
 

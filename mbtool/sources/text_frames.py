@@ -298,8 +298,8 @@ class TextFrames:
         """
         is_begin = _begins_answer(data, asked)
         if is_begin and asked.raw.startswith(data):
-            # The bytes are a part of the request that is shown again, or a response that begins
-            # like it.
+            # The bytes equal the beginning of the request, so they may be the request shown again.
+            # They are a response only if their label has a mark and differs from the label before.
             before = None if self._last is None else self._last[1]
             is_begin = label.mark is not None and label.text != before
         if is_begin and asked.transport is Transport.RTU and label.mark is not None:

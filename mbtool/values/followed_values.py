@@ -92,14 +92,14 @@ def values_of_profile(
                     minimum=point.minimum,
                     maximum=point.maximum,
                     no_value=point.no_value,
-                    not_valid=tuple(_not_valid(point)),
+                    not_valid=tuple(_states_that_mean_invalid(point)),
                     is_state=point.type in _STATES or bool(point.texts),
                 )
             )
     return found
 
 
-def _not_valid(point: Point) -> Iterator[tuple[int, int, str]]:
+def _states_that_mean_invalid(point: Point) -> Iterator[tuple[int, int, str]]:
     for key, text in point.bits.items():
         mask = 1 << int(key)
         if _NOT_VALID.search(text):

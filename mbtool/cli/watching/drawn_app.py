@@ -195,7 +195,7 @@ class DrawnApp(App[int]):
         """Texts on what the present view does not show, in several lengths; see WatchView."""
         self._contexts = [DrawContext() for _ in VIEWS]
         self._widest: list[dict[str, int]] = [{} for _ in VIEWS]
-        """By view, the width in characters of the widest cell so far of some columns."""
+        """For each view, by column: the width (characters) of the widest cell shown so far."""
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""

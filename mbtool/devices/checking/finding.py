@@ -43,7 +43,7 @@ class Finding:
     cases: tuple[tuple[int, ...], ...] = ()
     """The packet numbers of request and response of each case of an attack or a scan."""
     level: Severity | None = None
-    """The severity of a trouble that is no broken rule; None for that of the code's rule."""
+    """The severity of a trouble that breaks no rule; if None, that of the rule of `code`."""
 
     @property
     def severity(self) -> Severity:

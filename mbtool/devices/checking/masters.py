@@ -87,8 +87,8 @@ class MasterRules:
         self._first_time_ns = limits.identification.window_ns
         self._began_ns: int | None = None
         self._known: set[str] = set()
-        """IP addresses of the hosts that sent something in the first minutes of the capture (the
-        time of the limit of SEC-205)."""
+        """IP addresses of the hosts that sent something in the first minutes of the capture: in
+        the time window of rule SEC-205."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
         """For each host (IP address) that is not in `_known`: counts its reads of an

@@ -110,8 +110,8 @@ class QuietConnection(NamedTuple):
     """For each of the last transactions (at most connections.MAX_RECENT): transaction id, time of
     the request (ns) and time of the response (ns)."""
     opened_ns: int | None
-    """The time (ns) at which the connection was opened, if that is in the run. The capture has its
-    beginning then."""
+    """The time (ns) at which the connection was opened; None if that was before this run. If it is
+    known, the capture has the connection from its first segment on."""
 
 
 class ConnectionCounts(NamedTuple):

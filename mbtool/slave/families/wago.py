@@ -363,8 +363,8 @@ class Wago(Behaviour):
         super().__init__(profile, image)
         self._process = ProcessImage(image)
         self.own = {
-            0x07: self._alone(self._read_first_inputs),
-            0x0B: self._alone(self._read_event_counter),
+            0x07: self._refusing_data(self._read_first_inputs),
+            0x0B: self._refusing_data(self._read_event_counter),
         }
         self.rules = self._connections = ConnectionPolicy()
         self._watchdog = Watchdog(image)
@@ -438,17 +438,17 @@ class Wago(Behaviour):
         elif pdu[0] != 0x0B:
             self._went_well = self._went_well + 1 & 0xFFFF
 
-    def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
+    def _refusing_data(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
         """Wrap the handler of a function code whose requests have no data: one with data gets an
         exception.
         """
 
-        def own(pdu: bytes, now_ns: int) -> bytes:
+        def handle(pdu: bytes, now_ns: int) -> bytes:
             if len(pdu) > 1:
                 return exception_pdu(pdu[0], self.profile.exceptions.value)
             return function(pdu)
 
-        return own
+        return handle
 
     def _read_first_inputs(self, pdu: bytes) -> bytes:
         bits = self.image.get(COILS, 0, 8)

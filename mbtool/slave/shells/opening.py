@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from mbtool.slave.device.connection_policy import ConnectionPolicy
     from mbtool.slave.shells.shell import OnExchange, Shell
 
-# The class below starts and stops several shells together.
+# ShellGroup starts and stops several shells together. A shell connects a simulated slave to one
+# link.
 
 _GLANCE_S = 0.0
+"""The time (s) to wait for each shell to end: none, only its state is looked at."""
 
 
 class ShellGroup:
