@@ -135,7 +135,7 @@ class PairOption(NamedTuple):
     request: OpenRequest | None
 
     def likely_cost(self, reading: PairReading) -> float:
-        """What the option adds to the `likely_cost` of a reading."""
+        """The cost (in units of LATE) that the option adds to the `likely_cost` of a reading."""
         is_late = self.request is not None and self.request.number in reading.given_up
         return self.cost + UNLIKELY * is_late
 

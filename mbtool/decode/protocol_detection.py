@@ -111,11 +111,11 @@ MAX_UNDECIDED_BYTES = 2048
 GAP_BYTES = 64
 """A gap in a stream counts as this many bytes towards MAX_UNDECIDED_BYTES."""
 MAX_NOISE = MAX_RTU_ADU
-"""Where RTU over TCP is not expected, it is excluded after this many bytes of one direction without
-a frame."""
+"""The bytes of one direction without a frame after which RTU over TCP is excluded, where it is not
+expected."""
 MAX_MBAP_NOISE = 520
-"""Where Modbus/TCP is not expected, it is excluded after this many bytes of one direction without
-an ADU. That is room for the rests of two ADUs whose beginnings the capture lacks."""
+"""The bytes of one direction without an ADU after which Modbus/TCP is excluded, where it is not
+expected. That is room for the rests of two ADUs whose beginnings the capture lacks."""
 MAX_HELD_EVENTS = 8
 """At most this many events of an undecided connection are kept."""
 MAX_SLAVES = 65536

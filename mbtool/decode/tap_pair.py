@@ -38,11 +38,11 @@ from itertools import islice, takewhile
 from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.core.limits import MAX_CLOCK_STEP_NS
 from mbtool.decode.connections import Decoded, skipped_event
-from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing, has_code
 from mbtool.decode.transactions import Ends
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
 from mbtool.modbus.adu import Adu, Skipped, crc
-from mbtool.modbus.expected_response import is_response_code, is_response_to
+from mbtool.modbus.expected_response import is_response_to
 from mbtool.modbus.pdu import Pdu, parse_pdu, pdu_length
 from mbtool.serial_line.ascii import AsciiSplitter
 from mbtool.serial_line.rtu import RtuSplitter
@@ -100,11 +100,6 @@ class TapRequest:
     @classmethod
     def of(cls, adu: Adu) -> TapRequest:
         return cls(adu, parse_pdu(adu.pdu, Direction.REQUEST))
-
-
-def can_answer(request: Adu, response: Adu) -> bool:
-    """True if a response, or exception response, has the unit and the function of a request."""
-    return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
 
 
 def request_of_first(
@@ -178,7 +173,7 @@ def _pairs_in_order_cost_nothing(
 
 def _pair_cost(requests: Sequence[TapRequest], index: int, response: Adu, ahead_ns: int) -> int:
     request = requests[index].adu
-    if not can_answer(request, response):
+    if not has_code(request, response):
         return _IMPOSSIBLE_NS
     early_ns = request.end_ns - response.start_ns
     late_ns = -_IMPOSSIBLE_NS
@@ -340,7 +335,7 @@ class TapPair:
         decoded += self._pairing.feed(event)
         if side is self._master:
             self._note_request(event)
-        elif self._pending is not None and can_answer(self._pending.adu, event):
+        elif self._pending is not None and has_code(self._pending.adu, event):
             self._ahead_ns = max(self._ahead_ns, self._pending.adu.end_ns - event.start_ns)
             self._answered_ns = event.end_ns
             self._pending = None

@@ -470,8 +470,8 @@ class Profile(_Part, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def notations(self) -> dict[tuple[Table, int, bool], Area | None]:
-        """What references.py has found: for a table, an address and True for writing, the area in
-        whose notation the address is written; None for the neutral notation.
+        """The areas that references.py has found: for a table, an address and True for writing, the
+        area in whose notation the address is written; None for the neutral notation.
         """
         return {}
 

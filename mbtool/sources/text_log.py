@@ -223,7 +223,7 @@ _QUOTED = re.compile(rb"\"((?:[^\"\\]|\\.)*)\"|'((?:[^'\\]|\\.)*)'")
 _CODED = re.compile(rb"\\[xu0-7]|^:[0-9A-Fa-f]{8,}\\r")
 """A text in quotes may be bytes if it has an escape with digits, or is a frame of Modbus ASCII."""
 _CALL = re.compile(rb"\b\w+\(\d+, $")
-"""What strace writes in front of the bytes that a call reads or writes."""
+"""The text that strace writes in front of the bytes that a call reads or writes."""
 _ESCAPE = re.compile(rb"\\(?:x([0-9A-Fa-f]{2})|u00([0-9A-Fa-f]{2})|([0-7]{1,3})|(.))", re.DOTALL)
 
 

@@ -71,9 +71,9 @@ _UNSEEN_DIGIT = 1.4
 """Each decimal digit that a register has more than the display shows divides the probability by e
 to the power of this."""
 _DRIFT, _DRIFT_OF_CONSTANT = 0.004, 0.001
-"""How far the number on the display may lie outside the recorded values, as a share (0 to 1) of the
-register's value: for a register that changed in the recording, and for one that did not. Three
-times the standard deviation of its values is added."""
+"""The distance by which the number on the display may lie outside the recorded values, as a share
+(0 to 1) of the register's value: for a register that changed in the recording, and for one that did
+not. Three times the standard deviation of its values is added."""
 _BETWEEN = 1e-3
 """The factor (0 to 1) on the probability of a register that has whole numbers, if the number seen
 is between two of them."""

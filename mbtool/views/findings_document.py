@@ -34,7 +34,7 @@ SARIF_SCHEMA = (
 
 
 class Checked(NamedTuple):
-    """What a document says at its end about the files that were checked."""
+    """The facts at the end of a document about the files that were checked."""
 
     transactions: int
     failed: Mapping[str, int]

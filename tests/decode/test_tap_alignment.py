@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 
 from mbtool.core import Direction
-from mbtool.decode.pairing import BUS_TIMEOUT_NS
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, has_code
 from mbtool.decode.tap_pair import (
     MAX_ALIGNED,
     SKEW_NS,
     TapRequest,
-    can_answer,
     request_of_first,
 )
 from mbtool.modbus.adu import Adu, DirectionBy, Transport
@@ -79,10 +78,10 @@ def test_a_response_of_another_size_weighs_as_much_as_200_ms(pause_ms: int, aske
 
 def test_only_the_same_unit_and_function_can_be_aligned() -> None:
     request = asked(0).adu
-    assert can_answer(request, answered(10))
-    assert can_answer(request, answered(10, REFUSED))
-    assert not can_answer(request, answered(10, unit=2))
-    assert not can_answer(request, answered(10, bytes.fromhex("04 02 0007")))
+    assert has_code(request, answered(10))
+    assert has_code(request, answered(10, REFUSED))
+    assert not has_code(request, answered(10, unit=2))
+    assert not has_code(request, answered(10, bytes.fromhex("04 02 0007")))
     assert request_of_first([asked(0), asked(20, unit=2)], [answered(10, unit=2)], END_NS) == 1
 
 

@@ -56,8 +56,8 @@ _MULTIPLIER = 2_654_435_761
 @dataclass(slots=True)
 class _Poll:
     first: Finding | None = None
-    """What a finding says of the first request. It is kept in place of the transaction, which holds
-    its values and bytes.
+    """The finding about the first request. It is kept in place of the transaction, which holds
+    values and bytes, too.
     """
     last_ns: int = 0
     sample: list[tuple[int, int]] = field(default_factory=list)

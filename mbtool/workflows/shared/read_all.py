@@ -41,7 +41,7 @@ class CountedWork:
     total: int
     noun: str = FILES
     text: str = ""
-    """What is being done, for the user; empty for the number of the item: `file 3 of 60`."""
+    """The name of the work, for the user; empty for the number of the item: `file 3 of 60`."""
     done: int = 0
 
     @property
